@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from workbench.networks.landmark_network import NAME, empty_landmark_network
 from workbench.networks.weights import fill, read_weights, write_weights
 from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import Light, Lighting
-from workbench.training import PLAN_FILE
+from workbench.training import PLAN_FILE, loop
 from workbench.training.augment import Hardness, augmented, cut_out
 from workbench.training.brows import BrowPlace, brow_landmarks, brows_at, denser, random_brow_place
 from workbench.training.dense_task import DenseTask
@@ -42,9 +43,9 @@ from workbench.training.evaluation import (
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
-from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
+from workbench.training.loop import Phase, TrainingPlan, checked_plan, folded_arrays, train
 from workbench.training.measuring import lids_of
-from workbench.training.pool import SHARD, Pool, open_pool
+from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
@@ -68,6 +69,27 @@ def pool(pool_folder) -> Pool:
 
 def quiet(_line: str) -> None:
     """No report."""
+
+
+def train_a_phase(pool_folder: Path, folder: Path, plan: TrainingPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A training that is interrupted in its second phase."""
+    batch = LandmarkTask.batch
+
+    def interrupted(task, pool, phase, rngs):
+        if phase.input_side == 64:
+            raise KeyboardInterrupt
+        return batch(task, pool, phase, rngs)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(LandmarkTask, "batch", interrupted)
+        train(LandmarkTask(), pool_folder, folder, plan, 0, every=2, report=quiet)
+
+
+def write_second_shard(pool_folder: Path) -> None:
+    """Add the pictures of the first shard of a pool, upside down."""
+    (pictures, numbers), (more_pictures, more_numbers) = (shard_paths(pool_folder, shard) for shard in (0, 1))
+    np.save(more_pictures, np.load(pictures)[:, ::-1])
+    shutil.copy(numbers, more_numbers)
 
 
 def weights_of_size(path: Path, **held: str) -> Path:
@@ -404,17 +426,7 @@ class TestLoop:
         self, pool_folder, tmp_path, monkeypatch
     ):
         whole = train(LandmarkTask(), pool_folder, tmp_path / "whole", PLAN, 0, every=2, report=quiet)
-        batch = LandmarkTask.batch
-
-        def interrupted(task, pool, phase, rngs):
-            if phase.input_side == 64:
-                raise KeyboardInterrupt
-            return batch(task, pool, phase, rngs)
-
-        monkeypatch.setattr(LandmarkTask, "batch", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            train(LandmarkTask(), pool_folder, tmp_path / "parts", PLAN, 0, every=2, report=quiet)
-        monkeypatch.undo()
+        train_a_phase(pool_folder, tmp_path / "parts", PLAN, monkeypatch)
         # What it had told of steps after its last checkpoint, which are repeated, and half a row.
         told = (tmp_path / "whole" / "curves.csv").read_text()
         (tmp_path / "parts" / "curves.csv").write_text(told + "\n3")
@@ -425,6 +437,55 @@ class TestLoop:
         assert max(np.abs(first[name] - second[name]).max() for name in first) < 1e-5
         rows = (tmp_path / "parts" / "curves.csv").read_text().splitlines()
         assert [row.split(",")[0] for row in rows] == ["step", "6"]
+
+    def test_an_interrupted_training_ends_with_the_same_curves(self, pool_folder, tmp_path, monkeypatch):
+        train_a_phase(pool_folder, tmp_path / "parts", PLAN, monkeypatch)
+        for name in ("whole", "parts"):
+            train(LandmarkTask(), pool_folder, tmp_path / name, PLAN, 0, every=2, report=quiet)
+        whole, parts = ((tmp_path / name / "curves.csv").read_text() for name in ("whole", "parts"))
+        assert parts == whole
+
+    def test_a_checkpoint_of_before_without_the_numbers_of_the_curves_goes_on(
+        self, pool_folder, tmp_path, monkeypatch
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = tmp_path / "checkpoint.pt"
+        state = torch.load(checkpoint, weights_only=True)
+        del state["running"]
+        torch.save(state, checkpoint)
+        lines = []
+        train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=lines.append)
+        assert [line for line in lines if line.startswith("step 6 of 6")] == lines
+
+    def test_pictures_that_another_training_added_to_the_pool_do_not_count(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(loop, "_POOLS", {})
+        (pool_folder := tmp_path / "pool").mkdir()
+        plan = replace(PLAN, pictures=SHARD)
+        write_dotted_pool(pool_folder)
+        train_a_phase(pool_folder, tmp_path / "parts", plan, monkeypatch)
+        whole = train(LandmarkTask(), pool_folder, tmp_path / "whole", plan, 0, every=2, report=quiet)
+        loop._POOLS.clear()
+        write_second_shard(pool_folder)
+        resumed = train(LandmarkTask(), pool_folder, tmp_path / "parts", plan, 0, every=2, report=quiet)
+        first, second = read_weights(whole).arrays, read_weights(resumed).arrays
+        assert max(np.abs(first[name] - second[name]).max() for name in first) < 1e-5
+
+    def test_a_training_with_another_number_of_pictures_is_refused(self, tmp_path):
+        (tmp_path / PLAN_FILE).write_text(json.dumps(asdict(replace(PLAN, pictures=SHARD))))
+        with pytest.raises(InputError, match="a training with other options"):
+            checked_plan(LandmarkTask(), tmp_path, replace(PLAN, pictures=2 * SHARD))
+
+    def test_a_plan_of_before_that_does_not_tell_its_pictures_goes_on(self, tmp_path):
+        before = {name: value for name, value in asdict(PLAN).items() if name != "pictures"}
+        (tmp_path / PLAN_FILE).write_text(json.dumps(before))
+        plan = replace(PLAN, pictures=SHARD)
+        assert checked_plan(LandmarkTask(), tmp_path, plan) == plan
+
+    @pytest.mark.parametrize("content", ['{"pha', '{"phases": []}', '{"phases": [], "widths": [1], "lens": 1}', ""])
+    def test_a_damaged_plan_is_told_with_what_to_do(self, tmp_path, content):
+        (tmp_path / PLAN_FILE).write_text(content)
+        with pytest.raises(InputError, match=f"{PLAN_FILE} .*the plan of a training.*--overwrite"):
+            checked_plan(LandmarkTask(), tmp_path, PLAN)
 
     def test_a_folder_of_another_plan_is_refused(self, pool_folder, tmp_path):
         train(LandmarkTask(), pool_folder, tmp_path, PLAN, workers=0, report=quiet)
@@ -511,6 +572,12 @@ class TestLoop:
             for share in (1.0, 0.25)
         )  # fmt: skip
         np.testing.assert_array_equal(mean["pupils.weight"], learned["pupils.weight"])
+
+    @pytest.mark.parametrize(("pictures", "opened"), [(1, 1), (SHARD, 1), (SHARD + 1, 2), (9 * SHARD, 2), (None, 2)])
+    def test_as_much_of_a_pool_is_opened_as_is_asked_for(self, tmp_path, pictures, opened):
+        write_dotted_pool(tmp_path)
+        write_second_shard(tmp_path)
+        assert len(open_pool(tmp_path, pictures)) == opened * SHARD
 
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):
@@ -641,6 +708,21 @@ class TestTrainings:
         (tmp_path / "flow" / PLAN_FILE).write_text(json.dumps(asdict(PLAN)))
         with pytest.raises(InputError, match="other options"):
             TRAININGS["flow"].make(tmp_path, TRAININGS["flow"].quick, 1, "cpu", quiet)
+
+    @pytest.mark.parametrize(("network", "module"), [("finder", "recipe"), ("flow", "flow_recipe")])
+    def test_the_plan_says_how_many_pictures_are_learned_from(self, tmp_path, monkeypatch, network, module):
+        plans = []
+
+        def stopped(task, pool, folder, plan, *_args, **_options):
+            plans.append(plan)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("workbench.training.pool.make_shards", lambda *_args: None)
+        monkeypatch.setattr("workbench.training.flow_pool.make_shards", lambda *_args: None)
+        monkeypatch.setattr(f"workbench.training.{module}.train", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            TRAININGS[network].make(tmp_path, TRAININGS[network].quick, 1, "cpu", quiet)
+        assert [plan.pictures for plan in plans] == [{"finder": 240, "flow": 120}[network]]
 
     @pytest.mark.parametrize(
         ("options", "said"),

@@ -80,6 +80,13 @@ class TestPairs:
         assert np.array_equal(one.first, two.first)
         assert np.array_equal(one.flow, two.flow)
 
+    @pytest.mark.parametrize(("pairs", "opened"), [(1, 1), (SHARD + 1, 2), (None, 2)])
+    def test_as_much_of_a_pool_is_opened_as_is_asked_for(self, tmp_path, pairs, opened):
+        for shard in (0, 1):
+            for path in shard_files(tmp_path, shard).values():
+                np.save(path, np.zeros(1))
+        assert len(open_pair_pool(tmp_path, pairs)) == opened * SHARD
+
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="workbench train flow"):
             open_pair_pool(tmp_path)

@@ -39,8 +39,8 @@ class DenseTask:
     starts: tuple[str, ...] = (NAME, landmark_network.NAME)
     dense: DensePoints = DENSE_POINTS
 
-    def open(self, folder) -> Pool:
-        return open_pool(folder)
+    def open(self, folder: Path, pictures: int | None) -> Pool:
+        return open_pool(folder, pictures)
 
     def network(self, plan: TrainingPlan) -> nn.Module:
         return TorchRegression(plan.widths, plan.blocks, SQUEEZED, HIDDEN, NUMBERS * (POINTS + len(DENSE_POINTS)), SIDE)

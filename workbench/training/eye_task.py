@@ -39,8 +39,8 @@ class EyeTask:
     architecture: str = NAME
     starts: tuple[str, ...] = (NAME,)
 
-    def open(self, folder) -> Pool:
-        return open_pool(folder)
+    def open(self, folder: Path, pictures: int | None) -> Pool:
+        return open_pool(folder, pictures)
 
     def network(self, plan: TrainingPlan) -> nn.Module:
         return TorchRegression(plan.widths, plan.blocks, SQUEEZED, HIDDEN, NUMBERS * POINTS + 1, SIDE)

@@ -80,11 +80,16 @@ def make_pair_pool(
     make_shards(make_pair_shard, folder, -(-pairs // SHARD), seed, SHARD, workers, progress)
 
 
-def open_pair_pool(folder: Path) -> PairPool:
-    """The finished shards of a pool. Raises `InputError` if there are none."""
+def open_pair_pool(folder: Path, pairs: int | None = None) -> PairPool:
+    """The finished shards of a pool, or the first ones, which hold (at least) this many pairs.
+
+    Raises `InputError` if there are none.
+    """
     shards = [int(path.stem.split("_")[1]) for path in sorted(folder.glob("marks_*.npy"))]
     files = [shard_files(folder, shard) for shard in shards]
     files = [paths for paths in files if all(path.is_file() for path in paths.values())]
+    if pairs is not None:
+        files = files[: -(-pairs // SHARD)]
     if not files:
         raise InputError(f"{folder} holds no pool of rendered pairs: `workbench train flow FOLDER` makes one")
     return PairPool(**{

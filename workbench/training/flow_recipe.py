@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from workbench.files import atomic_path
@@ -64,18 +64,19 @@ def train_flow_network(
     Called again after an interruption it goes on where it stopped. Raises `InputError` where the folder belongs to
     another plan.
     """
-    checked_plan(FlowTask(), folder / "flow", recipe.plan, device)
+    plan = replace(recipe.plan, pictures=recipe.pairs)
+    checked_plan(FlowTask(), folder / "flow", plan, device)
     pool, test = folder / "pairs", folder / "pairs_test"
     for path, pairs, seed in ((pool, recipe.pairs, PAIR_SEED), (test, recipe.test_pairs, PAIR_TEST_SEED)):
         make_pair_pool(path, pairs, seed, workers, lambda done, total: report(f"rendered {done} of {total} pairs"))
-    raw = train(FlowTask(), pool, folder / "flow", recipe.plan, workers, device, report=report)
+    raw = train(FlowTask(), pool, folder / "flow", plan, workers, device, report=report)
     path = folder / "flow.safetensors"
     write_shipped(path, read_weights(raw), recipe.plan.seed)
     report("measuring on pairs that it has not seen")
     estimators = {
         "network": NetworkFlow(read_flow_network(path), recipe.side), "DIS": DisFlow(), "Farnebäck": FarnebackFlow()
     }  # fmt: skip
-    numbers = measured_flow(estimators, open_pair_pool(test), recipe.evaluated, recipe.side)
+    numbers = measured_flow(estimators, open_pair_pool(test, recipe.test_pairs), recipe.evaluated, recipe.side)
     with atomic_path(folder / "flow_numbers.json") as temporary:
         temporary.write_text(json.dumps(numbers, indent=1), encoding="utf-8")
     with atomic_path(folder / "flow_tables.md") as temporary:

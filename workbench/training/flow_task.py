@@ -30,9 +30,9 @@ class FlowTask:
 
     architecture: str = NAME
 
-    def open(self, folder: Path) -> PairPool:
+    def open(self, folder: Path, pictures: int | None) -> PairPool:
         """The pool that batches are made of."""
-        return open_pair_pool(folder)
+        return open_pair_pool(folder, pictures)
 
     def network(self, plan: TrainingPlan) -> nn.Module:
         """An untrained one."""

@@ -22,7 +22,7 @@ from workbench.files import atomic_path
 from workbench.landmarks.schemes import DensePoints
 from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
 from workbench.networks.weights import ARCHITECTURE, read_weights
-from workbench.reading import shortened
+from workbench.reading import checked_json, reading, shortened
 from workbench.training import PLAN_FILE
 from workbench.training.batch_studio import BatchStudio
 from workbench.training.pool import Pool, open_pool
@@ -61,6 +61,8 @@ class TrainingPlan:
     learned: float = 1.0
     """Share of what was learned in the weights that are kept, the rest being what it began with: a short training on
     few people makes worse what it was not meant for, and the mean of both hardly does (Wortsman et al., CVPR 2022)."""
+    pictures: int | None = None
+    """Pictures (or pairs) of the pool that it learns from, as `open_pool` takes them; None: all that are there."""
 
     @property
     def steps(self) -> int:
@@ -93,7 +95,7 @@ class Task(Protocol):
 
     architecture: str
 
-    def open(self, folder: Path) -> Any: ...
+    def open(self, folder: Path, pictures: int | None) -> Any: ...
 
     def network(self, plan: TrainingPlan) -> nn.Module: ...
 
@@ -136,9 +138,9 @@ class MapsTask:
         """Only those of the same kind."""
         return (self.architecture,)
 
-    def open(self, folder: Path) -> Pool:
+    def open(self, folder: Path, pictures: int | None) -> Pool:
         """The pool that batches are made of."""
-        return open_pool(folder)
+        return open_pool(folder, pictures)
 
     def network(self, plan: TrainingPlan) -> nn.Module:
         """An untrained one."""
@@ -169,17 +171,18 @@ class _Batches(torch.utils.data.Dataset):
         step = self.first_step + offset
         phase, _ = self.plan.at(step)
         rngs = [np.random.default_rng([self.plan.seed, step, place]) for place in range(phase.batch)]
-        return self.task.batch(_pool_of_process(self.task, self.pool_folder), phase, rngs)
+        return self.task.batch(_pool_of_process(self.task, self.pool_folder, self.plan.pictures), phase, rngs)
 
 
-_POOLS: dict[Path, Any] = {}
+_POOLS: dict[tuple[Path, int | None], Any] = {}
 
 
-def _pool_of_process(task: Task, folder: Path) -> Any:
-    if folder not in _POOLS:
+def _pool_of_process(task: Task, folder: Path, pictures: int | None) -> Any:
+    key = folder, pictures
+    if key not in _POOLS:
         cv2.setNumThreads(1)
-        _POOLS[folder] = task.open(folder)
-    return _POOLS[folder]
+        _POOLS[key] = task.open(folder, pictures)
+    return _POOLS[key]
 
 
 def train(
@@ -210,9 +213,9 @@ def train(
     network = network.to(device).to(memory_format=torch.channels_last)
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
-    step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
-    _forget_later_rows(folder / "curves.csv", step)
     running: dict[str, Tensor] = {}
+    step = _resumed(folder / "checkpoint.pt", network, optimiser, average, running)
+    _forget_later_rows(folder / "curves.csv", step)
     began, first = time.monotonic(), step
     for pictures, targets in _pictures(task, pool_folder, plan, step, workers, device):
         for group in optimiser.param_groups:
@@ -239,7 +242,7 @@ def train(
             numbers_text = ", ".join(f"{name} {value:.3f}" for name, value in running.items())
             report(f"step {step} of {plan.steps}: {numbers_text}; {speed:.2f} steps/s")
         if step % every == 0 or step == plan.steps:
-            _save(folder / "checkpoint.pt", network, optimiser, average, step)
+            _save(folder / "checkpoint.pt", network, optimiser, average, running, step)
     return export_weights(task, folder, start=start)
 
 
@@ -257,12 +260,17 @@ def checked_plan(
     if start is not None:
         check_start(task, plan, start)
         plan = replace(plan, start=hashlib.sha256(start.read_bytes()).hexdigest())
-    if (folder / PLAN_FILE).is_file() and read_plan(folder / PLAN_FILE) != plan:
+    if (folder / PLAN_FILE).is_file() and not _follows(plan, read_plan(folder / PLAN_FILE)):
         raise InputError(
             f"{folder} holds a training with other options (--quick, --start, --device); repeat those, name another "
             "folder, or discard it by --overwrite."
         )
     return plan
+
+
+def _follows(plan: TrainingPlan, stored: TrainingPlan) -> bool:
+    """Whether a training goes on by this plan; older ones did not store their pictures."""
+    return stored == (plan if stored.pictures is not None else replace(plan, pictures=None))
 
 
 def check_device(device: str) -> None:
@@ -336,10 +344,11 @@ def kept(arrays: dict[str, Tensor]) -> dict[str, np.ndarray]:
 
 
 def read_plan(path: Path) -> TrainingPlan:
-    """The plan of a training folder."""
-    record = json.loads(path.read_text(encoding="utf-8"))
-    phases = tuple(Phase(**phase) for phase in record.pop("phases"))
-    return TrainingPlan(phases=phases, widths=tuple(record.pop("widths")), **record)
+    """The plan of a training folder. Raises `InputError` for a damaged one."""
+    with reading(path, "the plan of a training", "repeat the command with --overwrite to train again"):
+        record = checked_json(path.read_bytes())
+        phases = tuple(Phase(**phase) for phase in record.pop("phases"))
+        return TrainingPlan(phases=phases, widths=tuple(record.pop("widths")), **record)
 
 
 def _write_plan(path: Path, plan: TrainingPlan) -> None:
@@ -360,7 +369,8 @@ def _pictures(
                 tuple(target.to(device) for target in targets),
             )
         return
-    studio = BatchStudio(open_pool(pool_folder), plan.phases[0].input_side, task.dense, device, seed=plan.seed)
+    pool = open_pool(pool_folder, plan.pictures)
+    studio = BatchStudio(pool, plan.phases[0].input_side, task.dense, device, seed=plan.seed)
     for later in range(step, plan.steps):
         phase, _ = plan.at(later)
         yield studio.shoot(phase.batch, int(np.random.SeedSequence([plan.seed, later]).generate_state(1)[0]))
@@ -383,7 +393,8 @@ def _single_threaded(_worker: int) -> None:
     torch.set_num_threads(1)
 
 
-def _resumed(path: Path, network, optimiser, average) -> int:
+def _resumed(path: Path, network, optimiser, average: dict[str, Tensor], running: dict[str, Tensor]) -> int:
+    """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there."""
     if not path.is_file():
         return 0
     state = torch.load(path, map_location=next(network.parameters()).device, weights_only=True)
@@ -391,11 +402,13 @@ def _resumed(path: Path, network, optimiser, average) -> int:
     optimiser.load_state_dict(state["optimiser"])
     for name, value in state["average"].items():
         average[name].copy_(value)
+    running.update(state.get("running", {}))  # older checkpoints have none
     return int(state["step"])
 
 
-def _save(path: Path, network, optimiser, average, step: int) -> None:
-    state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average, "step": step}
+def _save(path: Path, network, optimiser, average, running: dict[str, Tensor], step: int) -> None:
+    learned = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average}
+    state = {**learned, "running": running, "step": step}
     with atomic_path(path) as temporary:
         torch.save(state, temporary)
 

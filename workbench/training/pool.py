@@ -135,12 +135,17 @@ def make_shards(
                 progress(done * size, count * size)
 
 
-def open_pool(folder: Path) -> Pool:
-    """The finished shards of a pool. Raises `InputError` if there are none."""
+def open_pool(folder: Path, pictures: int | None = None) -> Pool:
+    """The finished shards of a pool, or the first ones, which hold (at least) this many pictures.
+
+    A pool may be larger than one training asks for, where another one shares it. Raises `InputError` if there are none.
+    """
     shards = [
         (folder / f"numbers_{path.stem.split('_')[1]}.npz", path) for path in sorted(folder.glob("pictures_*.npy"))
     ]
-    shards = [(numbers, pictures) for numbers, pictures in shards if numbers.is_file()]
+    shards = [paths for paths in shards if paths[0].is_file()]
+    if pictures is not None:
+        shards = shards[: -(-pictures // SHARD)]
     if not shards:
         raise InputError(f"{folder} holds no pool of rendered heads: `workbench train landmarks FOLDER` makes one")
     numbers = [np.load(path, allow_pickle=False) for path, _ in shards]

@@ -104,7 +104,7 @@ def train_landmark_network(
     """
     raw, test = _trained(LandmarkTask(), folder, "landmarks", recipe, workers, device, report)
     side = recipe.plan.phases[-1].input_side
-    network, held_out = read_landmark_network(raw), open_pool(test)
+    network, held_out = read_landmark_network(raw), open_pool(test, recipe.test_pictures)
     report("calibrating the confidence")
     mass, confidence = calibration_of(answers_of(looker(network), held_out, recipe.calibrated, side, TRAINING, seed=1))
     known = {"calibration.mass": mass, "calibration.confidence": confidence}
@@ -145,7 +145,7 @@ def train_dense_network(
     Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
     """
     raw, test = _trained(DenseTask(), folder, "dense", recipe, workers, device, report)
-    network, (known, unseen) = read_dense_network(raw), halves(open_pool(test))
+    network, (known, unseen) = read_dense_network(raw), halves(open_pool(test, recipe.test_pictures))
     report("calibrating the deviations")
     largest = _largest(network, known, recipe, SIDE)
     look = FrozenDenseNetwork(replace(network, largest=jnp.asarray(largest)))
@@ -170,7 +170,7 @@ def learn_dense_gain(
     """
     test = folder / "pool_test"
     make_pool(test, recipe.test_pictures, SEEDS["faces"][1], workers, _rendered(report))
-    known, unseen = halves(open_pool(test))
+    known, unseen = halves(open_pool(test, recipe.test_pictures))
     dense, landmarks = FrozenDenseNetwork(bundled_dense_network()), looker(bundled_landmark_network())
 
     def answers(pool: Pool, count: int, hardness: Hardness, seed: int = 0) -> tuple[DenseAnswers, Answers]:
@@ -204,7 +204,7 @@ def train_eye_network(
     Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
     """
     raw, test = _trained(EyeTask(), folder, "eyes", recipe, workers, device, report, "eyes")
-    look, (known, unseen) = FrozenEyeNetwork(read_eye_network(raw)), halves(open_pool(test))
+    look, (known, unseen) = FrozenEyeNetwork(read_eye_network(raw)), halves(open_pool(test, recipe.test_pictures))
     report("calibrating the deviations")
     factor = deviation_factor(eye_answers(look, known, recipe.calibrated, TRAINING, seed=1).deviations)
     path = folder / "eyes.safetensors"
@@ -235,7 +235,7 @@ def _trained(
     kind: str = "faces",
 ) -> tuple[Path, Path]:
     """The trained weights, and the pool to measure them on; what cannot be followed is refused before any render."""
-    plan, start = recipe.plan, recipe.start
+    plan, start = replace(recipe.plan, pictures=recipe.pictures), recipe.start
     checked_plan(task, folder / name, plan, device, start)
     pool, test = _pools(folder, recipe, workers, report, kind)
     return train(task, pool, folder / name, plan, workers, device, report=report, start=start), test
