@@ -56,6 +56,8 @@ HEADERS = (
 """Readers of the headers of these formats; OpenCV decodes."""
 NETPBM = re.compile(rb"P[2356](?:(?:\s|#[^\n]*\n)+(\d+)){3}\s")
 """The beginning of a .pgm or .ppm; the last number is the value that stands for white."""
+FLOAT_SAMPLES = 3
+"""What the tag SampleFormat of a TIFF says of floating-point numbers."""
 DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
 """FFmpeg's own: frames may also grow in the middle of a video."""
 
@@ -178,6 +180,8 @@ def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
             return _scaled_netpbm(content)
         # A header that Pillow does not know is none of the formats above.
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB) if width else None
+    if picture is None and _has_float_pixels(content):
+        raise InputError(f"{name} has floating-point pixels, expected 8 or 16 bits: convert it to one of these")
     if picture is None:
         raise InputError(
             f"{name} does not contain a readable picture: it may be damaged, or another kind of file renamed"
@@ -191,6 +195,16 @@ def _scaled_netpbm(content: bytes) -> UInt8[np.ndarray, "h w 3"]:
         values = np.asarray(stored)
     picture = (values >> 8).astype(np.uint8) if stored.mode == "I" else values
     return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
+
+
+def _has_float_pixels(content: bytes) -> bool:
+    """Whether this is a TIFF of floating-point samples; Pillow knows the header of grey ones alone."""
+    with suppress(Exception), BytesIO(content) as file:
+        tags = TiffImagePlugin.ImageFileDirectory_v2(file.read(8))
+        file.seek(tags.next)
+        tags.load(file)
+        return FLOAT_SAMPLES in tags.get(TiffImagePlugin.SAMPLEFORMAT, ())
+    return False
 
 
 def _declared_size(content: bytes) -> tuple[int, int]:
