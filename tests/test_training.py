@@ -80,9 +80,10 @@ def train_a_phase(pool_folder: Path, folder: Path, plan: TrainingPlan, monkeypat
             raise KeyboardInterrupt
         return batch(task, pool, phase, rngs)
 
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr(LandmarkTask, "batch", interrupted)
-        train(LandmarkTask(), pool_folder, folder, plan, 0, every=2, report=quiet)
+        with pytest.raises(KeyboardInterrupt):
+            train(LandmarkTask(), pool_folder, folder, plan, 0, every=2, report=quiet)
 
 
 def write_second_shard(pool_folder: Path) -> None:
@@ -445,9 +446,7 @@ class TestLoop:
         whole, parts = ((tmp_path / name / "curves.csv").read_text() for name in ("whole", "parts"))
         assert parts == whole
 
-    def test_a_checkpoint_of_before_without_the_numbers_of_the_curves_goes_on(
-        self, pool_folder, tmp_path, monkeypatch
-    ):
+    def test_a_checkpoint_of_before_without_the_numbers_of_the_curves_goes_on(self, pool_folder, tmp_path, monkeypatch):
         train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
         checkpoint = tmp_path / "checkpoint.pt"
         state = torch.load(checkpoint, weights_only=True)
