@@ -216,6 +216,12 @@ def test_a_tiny_picture_is_valid_and_has_no_face(detector, shape):
 
 
 @needs_dlib
+@pytest.mark.parametrize("shape", [(20, 6000, 3), (6000, 20, 3)])
+def test_a_long_strip_is_valid_and_has_no_face(shape):
+    assert make_detector("dlib-cnn").detect_faces(np.zeros(shape, np.uint8)) == []
+
+
+@needs_dlib
 def test_several_faces_come_largest_first(detector, astronaut):
     large = astronaut[:260, 100:360]
     small = cv2.resize(large, (200, 200), interpolation=cv2.INTER_AREA)

@@ -35,6 +35,8 @@ THOROUGH_SIDE = 1280
 """Longest side of the thorough HOG search, which finds faces from about 40 pixels in a 640 pixel picture."""
 COARSE_SIDE = 320
 """Longest side of the CNN's first look, which finds faces from a quarter of the picture on."""
+CNN_SHORTEST_SIDE = 16
+"""Reduced pictures with a shorter side in pixels hold no face that the CNN could find, and it fails below 8."""
 MAX_ENLARGEMENT = 4.0
 SMALLEST_SIDE = 16
 """Pictures with a shorter side in pixels hold no face with 68 landmarks."""
@@ -186,6 +188,8 @@ class DlibDetector:
 
     def _detect_cnn(self, picture: np.ndarray, longest_side: int) -> list[FaceDetection]:
         resized, scale = _resized(picture, longest_side)
+        if min(resized.shape[:2]) < CNN_SHORTEST_SIDE:
+            return []
         found = _load_cnn()(np.ascontiguousarray(resized), 0)
         return [FaceDetection(_unscaled(face.rect, scale), float(face.confidence)) for face in found]
 
