@@ -92,6 +92,13 @@ class KnownFaces:
         return Landmarks2D(frame.to_image(MEAN_SHAPE), np.full(68, 0.01), size)
 
 
+class InWholePictures(KnownFaces):
+    """The same, and in parts of the pictures there is nothing."""
+
+    def detect_faces(self, picture, effort="full"):
+        return super().detect_faces(picture, effort) if picture.tobytes() in self.faces else []
+
+
 def run(scenes: list[Scene], detector=None, **options):
     detector = detector or KnownFaces(scenes)
     tracker = LandmarkTracker(detector, TrackerOptions(**options))
@@ -221,6 +228,42 @@ def test_a_given_point_chooses_the_face():
         x, y = face.mean(axis=0)
         results, _ = run([both], face=(float(x) + 10, float(y)))
         assert error_in_sides(results[0], face) < 0.02
+
+
+def test_without_a_face_at_the_given_point_none_is_taken_until_there_is_one():
+    """The detector is sure of a face elsewhere in every picture."""
+    away, there = (scene(t) for t in (0, 17))
+    x, y = there.faces[0].mean(axis=0)
+    results, _ = run([away, away, there], InWholePictures([away, there]), face=(float(x) + 70, float(y)))
+    assert [result.source for result in results] == ["none", "none", "detected"]
+
+
+def test_a_point_on_the_forehead_is_the_faces():
+    still = scene(0)
+    left, top, right, _ = frame_from_points(still.faces[0]).box()
+    point = ((left + right) / 2, top - 0.2 * (right - left))
+    results, _ = run([still], InWholePictures([still]), face=point)
+    assert results[0].source == "detected"
+
+
+def test_after_a_cut_the_face_nearest_to_the_given_point_is_taken():
+    first, second = scene(0), scene(30)
+    second = Scene(255 - np.roll(second.picture, 200, axis=1), (second.faces[0] + (200, 0),))
+    x, y = first.faces[0].mean(axis=0)
+    results, _ = run([first, second], InWholePictures([first, second]), face=(float(x), float(y)))
+    assert [(result.source, result.cut) for result in results] == [("detected", False), ("detected", True)]
+
+
+@pytest.mark.parametrize("name", ["network", pytest.param("dlib", marks=needs_dlib)])
+def test_a_given_point_chooses_a_small_face_beside_a_large_one(name):
+    large = cv2.resize(read_picture(ASTRONAUT), (720, 720), interpolation=cv2.INTER_LINEAR)
+    small = cv2.resize(read_picture(ASTRONAUT), (128, 128), interpolation=cv2.INTER_AREA)
+    picture = np.full((720, 1000, 3), 90, np.uint8)
+    picture[:, :720], picture[400:528, 800:928] = large, small
+    middle = FACE_IN_ASTRONAUT.origin / 4 + (800, 400)
+    detector = make_detector(name)
+    found = LandmarkTracker(detector, options_for(name, tuple(middle.tolist()))).step(picture)
+    assert np.linalg.norm(frame_from_points(found.landmarks.points).origin - middle) < 5
 
 
 def test_a_full_search_starts_each_shot_and_thorough_ones_back_off():

@@ -88,7 +88,7 @@ NO_FACE = (
 )
 CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
-FACE_HELP = "Pixel X,Y inside the face to follow."
+FACE_HELP = "Pixel X,Y inside the face to follow; without a face there, a frame has none."
 
 
 def track(

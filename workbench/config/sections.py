@@ -179,7 +179,8 @@ class LandmarksConfig(Section):
     face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(
         None,
-        description="A pixel inside the face to track, in a rig's first view; default, and in others: the largest.",
+        description="A pixel inside the face to track, in a rig's first view; without a face there, a frame has none. "
+        "Default, and in other views: the largest.",
     )
     confidence: bool = Field(
         True, description="Weigh each point by the detector's confidence; false: all alike, as published."

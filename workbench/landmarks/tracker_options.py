@@ -10,7 +10,8 @@ class TrackerOptions:
     """Numbers that steer the tracker. Lengths named `_sides` are in sides of the face box (about the face's width)."""
 
     face: tuple[float, float] | None = None
-    """A point (x, y) in pixels: follow the face nearest to it instead of the largest."""
+    """A point (x, y) in pixels: follow the face there instead of the largest. Until one is found, none is followed; at
+    later cuts the face nearest to the point is taken."""
     check_interval: int = 45
     """Frames between checks: the face is aligned again, as if just detected, and lost if that finds no face there."""
     retry_interval: int = 5

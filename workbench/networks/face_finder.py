@@ -84,11 +84,11 @@ def face_finder_from(weights: Weights) -> FaceFinder:
     return FaceFinder(fill(lambda: empty_landmark_network(widths, blocks, outputs=OUTPUTS), weights))
 
 
-def part_sides(longest: int) -> Iterator[int]:
+def part_sides(longest: int, smallest: int = SMALLEST_PART) -> Iterator[int]:
     """Sides of the parts of a picture with this longer side, in pixels, ever smaller."""
     side = longest
-    while side > SMALLEST_PART:
-        side = max(-(-side // 2), SMALLEST_PART)
+    while side > smallest:
+        side = max(-(-side // 2), smallest)
         yield side
 
 
