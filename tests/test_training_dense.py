@@ -21,6 +21,7 @@ from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
 from workbench.networks.regression import Places, places_of
 from workbench.training.augment import TRAINING, augmented
 from workbench.training.batch_studio import BatchStudio, Props
+from workbench.training.contact_sheet import eye_samples
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, even_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
@@ -249,6 +250,10 @@ class TestGain:
 
 
 class TestEyes:
+    def test_a_contact_sheet_shows_eyes_with_pupil_and_iris(self, pool_path):
+        shapes = {(sample.picture.shape, sample.points.shape) for sample in eye_samples(pool_path)}
+        assert shapes == {((EYE_SIDE, EYE_SIDE, 3), (9, 2))}
+
     def test_the_points_of_a_crop_are_those_of_the_render_as_a_right_eye_s(self, pool):
         """The made-up pool is symmetric, so a left eye's crop, which comes mirrored, says what a right one's does."""
         shapes = []

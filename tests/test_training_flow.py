@@ -8,7 +8,9 @@ import torch
 from tests.optional_parts import needs_gl
 from workbench.errors import InputError
 from workbench.flow import DisFlow, end_point_error
+from workbench.flow.coloring import flow_picture
 from workbench.networks import read_flow_network
+from workbench.training.contact_sheet import COLUMNS, pair_samples
 from workbench.training.flow_augment import CLEAN, PairHardness, augmented_pair
 from workbench.training.flow_measuring import flow_tables, measured_flow
 from workbench.training.flow_pool import SHARD, PairPool, open_pair_pool, shard_files
@@ -74,6 +76,14 @@ class TestPairs:
         assert pair.face[moving & pair.known].mean() > 0.97
         hidden = ~pair.visible & ~moving
         assert 0 < hidden.mean() < 0.3
+
+    def test_a_contact_sheet_shows_three_pairs_in_a_row_each_with_its_flow(self, pool_folder, pool):
+        samples = list(pair_samples(pool_folder))
+        dice = np.random.default_rng(0)
+        pair = augmented_pair(pool, int(dice.integers(len(pool))), dice, 256, CLEAN)
+        assert len(samples) == 6 * COLUMNS
+        for sample, picture in zip(samples, (pair.first, pair.second, flow_picture(pair.flow)), strict=False):
+            assert np.array_equal(sample.picture, picture)
 
     def test_the_same_seed_gives_the_same_pair(self, pool):
         one, two = (augmented_pair(pool, 3, np.random.default_rng(5), 64) for _ in range(2))

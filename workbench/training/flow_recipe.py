@@ -8,6 +8,7 @@ from pathlib import Path
 from workbench.files import atomic_path
 from workbench.flow import DisFlow, FarnebackFlow, NetworkFlow
 from workbench.networks import read_flow_network, read_weights
+from workbench.training.contact_sheet import pair_samples, shown_early
 from workbench.training.flow_measuring import flow_tables, measured_flow
 from workbench.training.flow_pool import make_pair_pool, open_pair_pool
 from workbench.training.flow_task import FlowTask
@@ -67,8 +68,14 @@ def train_flow_network(
     plan = replace(recipe.plan, pictures=recipe.pairs)
     checked_plan(FlowTask(), folder / "flow", plan, device)
     pool, test = folder / "pairs", folder / "pairs_test"
-    for path, pairs, seed in ((pool, recipe.pairs, PAIR_SEED), (test, recipe.test_pairs, PAIR_TEST_SEED)):
-        make_pair_pool(path, pairs, seed, workers, lambda done, total: report(f"rendered {done} of {total} pairs"))
+    make_pair_pool(pool, recipe.pairs, PAIR_SEED, workers, shown_early(report, pool, pair_samples))
+    make_pair_pool(
+        test,
+        recipe.test_pairs,
+        PAIR_TEST_SEED,
+        workers,
+        lambda done, total: report(f"rendered {done} of {total} pairs"),
+    )
     raw = train(FlowTask(), pool, folder / "flow", plan, workers, device, report=report)
     path = folder / "flow.safetensors"
     write_shipped(path, read_weights(raw), recipe.plan.seed)

@@ -22,6 +22,7 @@ from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
 from workbench.networks.frozen_floats import largest_passed
 from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.training.augment import TRAINING, Hardness
+from workbench.training.contact_sheet import eye_samples, face_samples, shown_early
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import (
     DenseAnswers,
@@ -244,10 +245,11 @@ def _trained(
 def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str = "faces") -> tuple[Path, Path]:
     name = "pool" if kind == "faces" else f"pool_{kind}"
     pools = folder / name, folder / f"{name}_test"
+    samples = {"faces": face_samples, "eyes": eye_samples}[kind]
     seeds, fits = SEEDS[kind], fitted_weights(folder, load_default_head(gaze=True).expression_names)
     if fits:
         report(f"{100 * FITTED:.0f} % of the new pictures to learn from show expressions of {counted_tracks(fits)}")
-    make_pool(pools[0], recipe.pictures, seeds[0], workers, _rendered(report), kind, fits)
+    make_pool(pools[0], recipe.pictures, seeds[0], workers, shown_early(report, pools[0], samples), kind, fits)
     make_pool(pools[1], recipe.test_pictures, seeds[1], workers, _rendered(report), kind)
     return pools
 
