@@ -42,3 +42,8 @@ def hinged(head: FaceModel, open_deg: float, sideways_mm: float, forward_mm: flo
     side, front = np.array([sideways_mm, 0.0, 0.0]), np.array([0.0, 0.0, -forward_mm])
     motions = {"jawOpen": turned, "jawLeft": side, "jawRight": -side, "jawForward": front}
     return with_shapes(head, **{name: weights * motion for name, motion in motions.items()})
+
+
+def with_one_identity(head: FaceModel) -> FaceModel:
+    """The mean face alone, without an identity basis, as a folder of OBJ files is."""
+    return replace(head.personal(np.zeros(len(head.identity_deltas))), name="one-identity")

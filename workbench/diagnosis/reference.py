@@ -182,12 +182,13 @@ class ShotReference:
 
     @cached_property
     def focal_costs(self) -> dict[float, float] | None:
-        """Cost of the best faces and poses by factor on the focal length, ascending; None with too few frames.
+        """Cost of the best faces and poses by factor on the focal length, ascending; None with too few frames, and for
+        a model without an identity basis, whose one face need not have this person's proportions.
 
         In squared percent of the outer-eye distance; differences of ten and more are significant. Half and twice the
         focal length are tried; if one of these is best, also the values on both sides of it, to bracket the minimum.
         """
-        if not self.knows_person:
+        if not self.knows_person or len(self._model.identity_deltas) == 0:
             return None
         costs = {factor: self._focal_cost(factor) for factor in (0.5, 1.0, 2.0)}
         best = min(costs, key=costs.get)

@@ -118,7 +118,7 @@ class LiveSession:
     def calibrated(self) -> str:
         """Where the identity comes from: "mean face", "first second" or "neutral face"."""
         calibration = self._identity_of[1]
-        if calibration is None or not self.config.identity.calibrate:
+        if calibration is None or not _calibrates(self.model, self.config):
             return "mean face"
         return "neutral face" if calibration.neutral else "first second"
 
@@ -161,10 +161,10 @@ class LiveSession:
     def calibrate_neutral(self) -> None:
         """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity.
 
-        Raises `InputError` where the settings keep the average face.
+        Raises `InputError` where the settings keep the average face, and for a model with one face alone.
         """
         with self._lock:
-            _check_calibrates(self.config)
+            _check_calibrates(self.model, self.config)
             self._gathering, self._gathered = "neutral", []
 
     def start_anew(self) -> None:
@@ -246,7 +246,7 @@ class LiveSession:
         """Add a frame to the calibration in progress; once complete, it becomes part of the state."""
         with self._lock:
             state = self._history.present
-            if not self._gathering and self._first is None and _wants_first_second(state):
+            if not self._gathering and self._first is None and _wants_first_second(self.model, state):
                 self._gathering, self._gathered = "first", []
             if not self._gathering or observation.landmarks is None:
                 return
@@ -301,16 +301,26 @@ def _identity_from(
         fitter.configure(plan_of(config, scheme))
 
 
-def _check_calibrates(config: Config) -> None:
+def _calibrates(model: FaceModel, config: Config) -> bool:
+    """Whether an identity is calibrated: the settings ask for it, and the model has an identity basis."""
+    return config.identity.calibrate and len(model.identity_deltas) > 0
+
+
+def _check_calibrates(model: FaceModel, config: Config) -> None:
+    if len(model.identity_deltas) == 0:
+        raise InputError(
+            f"{model.name} has no identity basis, so a neutral face changes nothing; choose a model with one, such as "
+            "the default head."
+        )
     if not config.identity.calibrate:
         raise InputError(
             "These settings keep the average face, so a neutral face changes nothing: switch identity.calibrate on."
         )
 
 
-def _wants_first_second(state: LiveState) -> bool:
+def _wants_first_second(model: FaceModel, state: LiveState) -> bool:
     """Whether the identity of a state is calibrated on the first second."""
-    return state.config.identity.calibrate and state.calibration is None
+    return _calibrates(model, state.config) and state.calibration is None
 
 
 def _check_live(config: Config) -> None:

@@ -87,7 +87,7 @@ class DeepFitter(Fitter):
     @property
     def calibrates(self) -> bool:
         """Whether a shot is calibrated before its frames are fitted: its identity, its appearance, or both."""
-        return self.plan.identity.calibrate or self.plan.deep.appearance != "model"
+        return self._points.calibrates or self.plan.deep.appearance != "model"
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera of the reference view; for an orthographic view, an equivalent distant camera."""
@@ -110,7 +110,7 @@ class DeepFitter(Fitter):
         Raises `InputError` if none has landmarks.
         """
         calibrated = Calibrated(self.mean_identity(), {})
-        if self.plan.identity.calibrate:
+        if self._points.calibrates:
             chosen = self._points.calibration_frames(observations, frames)
             calibrated = self._points.calibrate([_steadied(item, self._network) for item in chosen], frames)
         return calibrated._replace(starts={}, appearance=self.appearance(observations, calibrated.identity))

@@ -79,8 +79,8 @@ class FaceItFitter(Fitter):
 
     @property
     def calibrates(self) -> bool:
-        """Whether a shot is calibrated before its frames are fitted."""
-        return self.plan.identity.calibrate
+        """Whether a shot is calibrated before its frames are fitted; without an identity basis nothing is."""
+        return self.plan.identity.calibrate and len(self.model.identity_deltas) > 0
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""
@@ -91,9 +91,11 @@ class FaceItFitter(Fitter):
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
         """One identity from up to `frames` of these observations of one person, spread over the range of yaws.
 
-        Raises `InputError` if none has landmarks.
+        Of a model without an identity basis its only one. Raises `InputError` if none has landmarks.
         """
         chosen = self.calibration_frames(observations, frames)
+        if len(self.model.identity_deltas) == 0:
+            return Calibrated(self.mean_identity(), {})
         result = self._calibrate_on(chosen, [self._initial_pose(observation) for observation in chosen], frames)
         # On the host: JAX would compile a small program for every array that it takes a row of.
         starts, frames_found = {}, jax.tree.map(np.asarray, result.frames)

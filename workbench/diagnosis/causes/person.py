@@ -37,7 +37,7 @@ def wrong_identity(trial: Trial) -> Iterator[Finding]:
     The change is a setting that brings such a face; there may be none, as where half of the shot is bad.
     """
     identity = trial.reference.identity
-    if identity is None:
+    if identity is None or len(identity) == 0:
         return
     usual = _usual_nats(trial, trial.case.context.identity)
     best = _Face(trial, usual, Change("", calibrate=True, identity=identity))
