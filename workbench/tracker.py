@@ -15,6 +15,7 @@ from workbench.planning import plan_of
 from workbench.rendering import Appearance
 from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, corrected, with_face
 from workbench.tracking.observation import FrameObservation
+from workbench.tracking.plan import CameraPlan
 from workbench.tracking.records import FrameFit
 from workbench.tracking.systems import configured, make_fitter
 from workbench.tracking.walk import Walk, context_of
@@ -206,17 +207,20 @@ def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequenc
     return shot[first : first + window]
 
 
-def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
-    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
+def identity_key(config: Config, camera: CameraPlan, window: Sequence[FrameObservation]) -> str:
+    """Key of the identity of a shot seen by a camera; `window` holds the frames that it is calibrated on."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
     scheme = scheme_of_faces(item.landmarks for item in window)
-    return f"{identity_settings(config, scheme)}{moved}"
+    return f"{identity_settings(config, camera, scheme)}{moved}"
 
 
-def identity_settings(config: Config, scheme: LandmarkScheme) -> str:
-    """Key of everything that an identity depends on besides its frames, whose landmarks are of this scheme."""
+def identity_settings(config: Config, camera: CameraPlan, scheme: LandmarkScheme) -> str:
+    """Key of everything that an identity depends on besides its frames, whose landmarks are of this scheme.
+
+    `camera` is the one that the configuration was planned with: a rig's file may change.
+    """
     kept = {"system", "camera", "identity", "contour", "subsets"}
     kept |= {"deep"} if config.traits.reads("deep") else set()
     kept |= {"head"} if config.renders_character else set()
     sections = config.model_dump_json(include=kept)
-    return f"{sections}{config.point_weights(scheme)}{config.landmarks.confidence}"
+    return f"{sections}{camera.of_rig}{config.point_weights(scheme)}{config.landmarks.confidence}"

@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+from pathlib import Path
 from typing import Any
 
 from workbench.config import Config
 from workbench.face import FaceModel
 from workbench.objectives import WeightedSum
+from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
 
 ANEW = "begin anew by --overwrite in place of --resume (in a session, without resume=True)"
@@ -22,4 +24,6 @@ def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: Weight
         "objectives": dict(objectives.factors),
         **more,
     }
+    if config.camera.rig:
+        read["rig"] = content_hash(Path(config.camera.rig))
     return hashlib.sha256(json.dumps(read).encode()).hexdigest()

@@ -55,6 +55,8 @@ def start_of(config: Config, paths: Sequence[str]) -> dict[str, Float[np.ndarray
             raise ConfigError(f"{path} is 0, and learning scales what is there; start from a value above 0.")
     if FOV in paths and config.camera.matrix is not None:
         raise ConfigError("The camera is given as a matrix, which replaces camera.fov_deg; leave the latter unlearned.")
+    if FOV in paths and config.camera.rig:
+        raise ConfigError("The rig holds the lens (camera.rig), which replaces camera.fov_deg; leave it unlearned.")
     if not paths:
         raise ConfigError("There is nothing to learn; name settings, for example weights.tau landmarks.weights.")
     return {path: np.zeros(POINT_COUNT if path == POINTS else 1) for path in dict.fromkeys(paths)}

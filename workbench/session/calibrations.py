@@ -33,7 +33,7 @@ class Calibrations:
         window = [self._frames.observation(item.index, config, pictured=True) for item in window]
         if not any(observation.landmarks is not None for observation in window):
             return nothing
-        key = (shot, identity_key(config, window))
+        key = (shot, identity_key(config, fitter.plan.camera, window))
         with self._lock:
             if coarse and len(frames) > 1 and key not in self._kept:
                 earlier = [found for (number, _), found in self._kept.items() if number == shot]

@@ -93,7 +93,7 @@ class LiveSession:
         self._landmarks: LandmarkTracker | None = None
         self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config, model.scheme)), config
         self._identity = self._fitter.mean_identity()
-        self._identity_of: tuple[str, Calibration | None] = (identity_settings(config, model.scheme), None)
+        self._identity_of: tuple[str, Calibration | None] = (self._identity_settings(config), None)
         self._recorder: Recorder | None = None
         self._walk = Walk(self._fitter)
         self._picture: UInt8[np.ndarray, "h w 3"] | None = None
@@ -273,11 +273,14 @@ class LiveSession:
             self._fitter_config = state.config
         elif calibration is self._identity_of[1]:
             return
-        key = (identity_settings(state.config, self.model.scheme), calibration)
+        key = (self._identity_settings(state.config), calibration)
         if key[0] == self._identity_of[0] and key[1] is self._identity_of[1]:
             return
         self._identity = _identity_from(self._fitter, self.model.scheme, state.config, calibration)
         self._identity_of = key
+
+    def _identity_settings(self, config: Config) -> str:
+        return identity_settings(config, self._fitter.plan.camera, self.model.scheme)
 
     def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
         with self._lock:

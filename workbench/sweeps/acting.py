@@ -8,6 +8,8 @@ from workbench.sweeps.results import UNREAD
 from workbench.sweeps.space import Axis
 
 BEFORE_LANDMARKS = {"landmarks.detector", "landmarks.face", "landmarks.face_landmarker", "camera.rig"}
+OF_FOV = {"camera.fov_deg", "camera.fov_known"}
+REPLACED_BY_RIG = OF_FOV | {"camera.matrix", "camera.distortion"}
 FIXED = UNREAD - {"preset"} | {"system"}
 
 
@@ -23,8 +25,10 @@ def check_axis(axis: Axis, base: Config) -> None:
             )
         if (section := path.split(".")[0]) in FIXED:
             raise ConfigError(f"{path!r} has no effect here: fits to landmarks do not read {section!r}; leave it out.")
-        if path == "camera.fov_deg" and base.camera.matrix is not None:
-            raise ConfigError("'camera.fov_deg' has no effect beside a camera's matrix (camera.matrix, --rig).")
+        if path in REPLACED_BY_RIG and base.camera.rig:
+            raise ConfigError(f"{path!r} has no effect beside a rig, which holds the lens (camera.rig); leave it out.")
+        if path in OF_FOV and base.camera.matrix is not None:
+            raise ConfigError(f"{path!r} has no effect beside a camera's matrix (camera.matrix, --rig).")
 
 
 def _paths(axis: Axis) -> Iterator[str]:

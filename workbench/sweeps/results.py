@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from workbench import __version__
 from workbench.config import Config
 from workbench.objectives import TABLE, FittedClip, ObservedClip, SecondView, Truth, measured_by, observed_clip
+from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip, frames_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.storage import Storage, packed, unpacked
@@ -21,7 +23,8 @@ UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "fl
 
 
 def result_key(config: Config, digest: str, windows: Sequence[range], objectives: Sequence[str], model: str) -> str:
-    """SHA-256 of configuration, with the order of its weights, input and version: equal keys mean equal numbers."""
+    """SHA-256 of configuration, with the order of its weights and what its rig's file holds, input and version: equal
+    keys mean equal numbers."""
     read = {
         "config": config.model_dump(mode="json", exclude=UNREAD),
         "clip": digest,
@@ -31,6 +34,8 @@ def result_key(config: Config, digest: str, windows: Sequence[range], objectives
         "version": __version__,
         "format": FORMAT,
     }
+    if config.camera.rig:
+        read["rig"] = content_hash(Path(config.camera.rig))
     return hashlib.sha256(json.dumps(read).encode()).hexdigest()
 
 

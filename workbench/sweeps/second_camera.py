@@ -27,11 +27,14 @@ class SecondCamera:
 
 
 def in_first_view(config: Config, rig: str) -> Config:
-    """The configuration with the lens of a rig's first camera. Raises `InputError` for a rig that cannot be read."""
+    """The configuration with the lens of a rig's first camera in place of its own.
+
+    Raises `InputError` for a rig that cannot be read.
+    """
     lens = read_rig(local_file(rig)).views[0].camera
     matrix = np.array([[lens.focal_px[0], 0.0, 0.0], [0.0, lens.focal_px[1], 0.0], [0.0, 0.0, 1.0]])
     matrix[:2, 2] = lens.principal_point_px
-    return config.changed(camera={"matrix": matrix.tolist(), "distortion": lens.distortion.tolist()})
+    return config.changed(camera={"matrix": matrix.tolist(), "distortion": lens.distortion.tolist(), "rig": ""})
 
 
 def seen_by_second(

@@ -204,7 +204,7 @@ class ClipSolver:
             solved.fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
             return solved.fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
 
-        key = (clip.digest, shot.start, identity_key(config, window), hidden.tobytes())
+        key = (clip.digest, shot.start, identity_key(config, plan.camera, window), hidden.tobytes())
         return kept(self._identities, key, KEPT_IDENTITIES, calibrate)
 
     def _job(

@@ -40,6 +40,14 @@ class CameraPlan:
             return camera_from_matrix(self.matrix, self.distortion)
         return camera_from_fov(image_size, self.fov_deg, self.distortion)
 
+    @property
+    def of_rig(self) -> str:
+        """The rig's first view with all digits, for keys: a configuration holds its file's path alone. "" without a rig."""
+        if self.rig is None:
+            return ""
+        view = self.rig.views[0]
+        return repr((view.image_size, *(np.asarray(part).tolist() for part in view.camera)))
+
 
 @dataclass(frozen=True, eq=False)
 class StagePlan:

@@ -108,7 +108,7 @@ def _usual_nats(trial: Trial, identity: Float[np.ndarray, "i"]) -> float:
 def wrong_focal(trial: Trial) -> Iterator[Finding]:
     """Faces and poses of the whole shot fit better under another focal length."""
     config = trial.case.config
-    if config.camera.matrix is not None or trial.reference.focal_costs is None:
+    if config.camera.matrix is not None or config.camera.rig or trial.reference.focal_costs is None:
         return
     factors, costs = (np.array(part) for part in zip(*trial.reference.focal_costs.items(), strict=True))
     here = trial.reference.focal_costs[1.0]
