@@ -20,7 +20,7 @@ import workbench
 from tests.scenes import make_scene
 from workbench import cli
 from workbench.cli import screen, servers
-from workbench.config import PRESETS, preset, read_config
+from workbench.config import PRESETS, preset, read_config, write_config
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
@@ -102,6 +102,11 @@ def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does
         (["track", "points.csv", "--detector", "magic"], "landmarks.detector"),
         (["track", "points.csv", "--face-landmarker", "f.task"], "belongs to the detector mediapipe; add --detector"),
         (["track", "points.csv", "--face", "left"], "X,Y"),
+        (["track", "points.csv", "--fov", "40", "--rig", "rig.toml"], "--fov has no effect beside a rig"),
+        (
+            ["track", "points.csv", "--rig", "rig.toml", "--view", "side=a.csv", "--view", "side=b.csv"],
+            "The view 'side' is given twice, as a.csv and as b.csv",
+        ),
         (["track", "points.csv", "--workers", "2"], "--workers and --scheduler belong to Deep Energies"),
         (["track", "points.csv", "--frames", "500-600"], "points.csv holds no frame from 500 to 600"),
     ],
@@ -112,6 +117,12 @@ def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, poin
     assert err.startswith("error: ")
     assert message in err
     assert "Traceback" not in out + err
+
+
+def test_a_field_of_view_beside_the_configurations_rig_is_refused(run, points, tmp_path):
+    write_config(preset("deep").changed(camera={"rig": "rig.toml"}), tmp_path / "stereo.toml")
+    err = run("track", "points.csv", "--config", "stereo.toml", "--fov", "40")[2]
+    assert "--fov has no effect beside a rig, whose file holds the lenses; leave one of them out." in err
 
 
 NAMES = ("track", "landmarks", "demo", "diagnose", "export", "config", "weights", "train", "lab", "app", "info")

@@ -15,6 +15,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import MIRROR
 from workbench.pipeline import track
+from workbench.session import TuningSession
 from workbench.tracking import Track
 
 COUNT, BROKEN, EMPTY = 24, 13, 20
@@ -139,6 +140,39 @@ def test_a_track_of_another_model_asks_for_it(run, runs, tmp_path):
     code, _, err = run("diagnose", str(tmp_path), "--frame", "5")
     assert code == 2
     assert "fitted with the model flame; name its file with --model" in err
+
+
+@pytest.fixture
+def of_deep_energies(runs, tmp_path):
+    """The broken track as if Deep Energies had made it, with the clips of other views."""
+
+    def store(views):
+        stored, config = Track.load(runs / "broken" / "track.npz"), preset("deep-points").model_dump(mode="json")
+        replace(stored, meta={**stored.meta, "config": config, "views": views}).save(tmp_path / "track.npz")
+        return str(tmp_path / "track.npz")
+
+    return store
+
+
+@pytest.mark.parametrize(
+    ("views", "message"),
+    [
+        ({"side": "side.mp4"}, "Runs of several cameras are not diagnosed frame by frame; track the first view's clip"),
+        ({}, "Diagnosis tries changes to FACE IT! only; choose a FACE IT! preset to use it."),
+    ],
+)
+def test_runs_whose_frames_are_not_diagnosed_say_so_before_the_clip_is_fitted(
+    views, message, of_deep_energies, run, monkeypatch
+):
+    monkeypatch.setattr(TuningSession, "fit_clip", lambda *_: pytest.fail("the clip was fitted"))
+    err = run("diagnose", of_deep_energies(views), "--frame", "5")[2]
+    assert message in err
+
+
+@pytest.mark.parametrize("views", [{"side": "side.mp4"}, {}])
+def test_no_hint_follows_the_list_of_such_runs(views, of_deep_energies, run):
+    out = run("diagnose", of_deep_energies(views))[1]
+    assert out.splitlines()[-1].endswith("stand out") or out.splitlines()[-1].endswith("stands out")
 
 
 @pytest.mark.parametrize(

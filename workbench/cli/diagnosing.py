@@ -53,7 +53,7 @@ def diagnose(
     check_not_inputs(filter(None, (json_file, csv_file)), [track_file(run), *workbench.export.input_files(track.meta)])
     if frame is None:
         record = _flags(track)
-        _print_flags(record, run, every)
+        _print_flags(record, run, every, config_of_track(track.meta).traits.diagnosed)
         rows = record["flagged"]
     else:
         record = _diagnosis(track, frame, model)
@@ -74,6 +74,7 @@ def _flags(track: "workbench.Track") -> dict:
 
 
 def _diagnosis(track: "workbench.Track", frame: int, path: Path | None) -> dict:
+    _check_diagnosed(track)  # before a fit of the whole clip
     model, notes = model_of_track(track, path)
     for note in notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
@@ -87,7 +88,20 @@ def _diagnosis(track: "workbench.Track", frame: int, path: Path | None) -> dict:
     return diagnosis_files.diagnosis_record(diagnosis, names, len(session), pictures)
 
 
-def _print_flags(record: dict, run: Path, every: bool) -> None:
+def _check_diagnosed(track: "workbench.Track") -> None:
+    """Raise `InputError` for a run whose frames are not diagnosed."""
+    if track.meta.get("views"):
+        raise InputError(
+            "Runs of several cameras are not diagnosed frame by frame; track the first view's clip alone with a "
+            "FACE IT! preset, as by --preset joint, and diagnose that run."
+        )
+    from workbench.session.diagnosing import check_diagnosed  # here: it imports JAX, and --help does without
+
+    check_diagnosed(config_of_track(track.meta))
+
+
+def _print_flags(record: dict, run: Path, every: bool, diagnosed: bool) -> None:
+    """The frames that stand out, and where such runs are `diagnosed`, the command that tells why."""
     flagged = record["flagged"]
     if not flagged:
         faces = f"{record['frames']} frames, {record['frames_with_face']} with a face"
@@ -101,6 +115,8 @@ def _print_flags(record: dict, run: Path, every: bool) -> None:
     rest = "" if len(shown) == len(flagged) else f"; these are the worst {len(shown)}, --all lists the others"
     stand = "stands" if len(flagged) == 1 else "stand"
     screen.console.print(f"{len(flagged)} of {record['frames']} frames {stand} out{rest}")
+    if not diagnosed:
+        return
     command = escape(shlex.join(["workbench", "diagnose", str(run), "--frame", str(flagged[0]["frame"])]))
     screen.console.print(f"[dim]{command}  tells why[/dim]", soft_wrap=True)
 

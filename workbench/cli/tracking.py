@@ -180,6 +180,8 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
     if face is not None:
         landmarks["face"] = wanted_face(face)
     if fov is not None:
+        if rig is not None or base.camera.rig:
+            raise ConfigError("--fov has no effect beside a rig, whose file holds the lenses; leave one of them out.")
         camera = {"fov_deg": fov, "fov_known": True, "matrix": None}
         if base.camera.matrix is not None:
             camera["distortion"] = []  # of the measured lens
@@ -218,8 +220,13 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
 
 
 def named_views(texts: list[str]) -> dict[str, Path]:
-    """Clips by the names of their views; raises `ConfigError` for anything but NAME=CLIP."""
-    return {name: Path(path) for name, path in map(named_view, texts)}
+    """Clips by the names of their views; raises `ConfigError` for anything but NAME=CLIP, and a name given twice."""
+    clips: dict[str, Path] = {}
+    for name, path in map(named_view, texts):
+        if name in clips:
+            raise ConfigError(f"The view {name!r} is given twice, as {clips[name]} and as {path}; name each view once.")
+        clips[name] = Path(path)
+    return clips
 
 
 def named_view(text: str) -> tuple[str, str]:

@@ -42,7 +42,7 @@ class CameraPlan:
 
     @property
     def of_rig(self) -> str:
-        """The rig's first view with all digits, for keys: a configuration holds its file's path alone. "" without a rig."""
+        """The rig's first view with all digits, for keys: a configuration holds its file's path alone; else empty."""
         if self.rig is None:
             return ""
         view = self.rig.views[0]
