@@ -275,6 +275,16 @@ def test_nothing_compiles_after_the_warm_up(head, photo):
     assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == before
 
 
+@pytest.mark.parametrize(("name", "other"), [("joint", "deep-points"), ("deep-points", "joint")])
+def test_a_frame_is_fitted_anew_by_the_other_system_once_the_session_has_changed_to_it(name, other, head, photo):
+    session = TuningSession(head, photo, preset(name))
+    before = session.fit_frame(0)
+    session.use(preset(other))
+    after = session.fit_frame(0)
+    session.use(preset(name))
+    assert [same(session.fit_frame(0), fit) for fit in (before, after)] == [True, False]
+
+
 def test_getting_ready_is_no_error_where_the_system_is_changed_meanwhile(head, photo, monkeypatch):
     session = TuningSession(head, photo)
     monkeypatch.setattr(readiness, "compile_solvers", lambda *what: session.use(preset("deep")))

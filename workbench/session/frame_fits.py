@@ -50,7 +50,8 @@ class FrameFits:
         Raises `StoppedError` if cancelled.
         """
         with self._lock:
-            return self._fitter.record(self._solved(self.problem(frame, config, coarse), cancelled=cancelled))
+            solution = self._solved(self.problem(frame, config, coarse), cancelled=cancelled)
+            return self._fitter.record(solution)
 
     def explain(self, frame: int, config: Config) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """The fit with every iteration kept. Raises `InputError` for a frame without landmarks."""
@@ -61,7 +62,8 @@ class FrameFits:
     def stopped(self, frame: int, config: Config, steps: int) -> FrameFit:
         """The fit after `steps` iterations of all stages. Raises `InputError` for a frame without landmarks."""
         with self._lock:
-            return self._fitter.record(self._fitter.stopped(self._traced(frame, config), steps))
+            solution = self._traced(frame, config)
+            return self._fitter.record(self._fitter.stopped(solution, steps))
 
     def solve(self, frame: int, config: Config) -> DeepSolution | None:
         """The result of each Deep Energies stage on a frame; None under FACE IT! or without a face."""
