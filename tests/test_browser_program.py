@@ -566,13 +566,13 @@ class TestPanel:
     HELP, CROP, VIEWPOINT = (BROWSER / name for name in ("panel/help.js", "head/crop.js", "head/viewpoint.js"))
 
     def test_keys_have_their_actions_in_small_and_capital_letters(self):
-        ask = '["n", "N", ",", ".", " ", "?", "Enter", "q"].map((key) => actionOf(key) ?? null)'
-        wanted = ["next", "next", "back", "forth", "play", "help", None, None]
+        ask = '["n", "N", ",", ".", " ", "?", "M", "_", "Enter", "q"].map((key) => actionOf(key) ?? null)'
+        wanted = ["next", "next", "back", "forth", "play", "help", "overlay", "overlay", None, None]
         assert asked_of_node(self.HELP, "actionOf", ask) == wanted
 
     def test_every_action_of_a_key_is_done_by_the_page_or_the_panel(self):
         named = asked_of_node(self.HELP, "KEYS", 'KEYS.flatMap(([, , , actions]) => actions.split(" "))')
-        assert set(named) - {"bare", "search", "help"} <= set(ACTIONS)
+        assert set(named) - {"overlay", "search", "help"} <= set(ACTIONS)
         assert set(ACTIONS) - set(named) == {"undo", "redo"}  # with Ctrl
 
     def test_the_head_is_seen_through_the_crop_of_the_photo(self):

@@ -330,6 +330,50 @@ def test_the_question_mark_lists_the_keys(small, screenshots):
     shown.wait_for(state="hidden")
 
 
+def controls(page):
+    """A button, a slider and a menu of the panel."""
+    return button(page, "changed"), page.slider("ω_τ"), page.page.locator(".fw-go-to select")
+
+
+@pytest.mark.parametrize("which", range(3), ids=["button", "slider", "menu"])
+def test_keys_on_a_control_of_the_panel_are_no_commands_of_the_notebook(small, which):
+    """M would make the cell Markdown, and B insert another one."""
+    tab(small, "ω")
+    controls(small)[which].focus()
+    for key in ("m", "b"):
+        small.page.keyboard.press(key)
+    small.wait_drawn()
+    cells = "() => window.jupyterapp.shell.currentWidget.content.widgets.map((cell) => cell.model.type)"
+    assert small.page.evaluate(cells) == ["code", "code"]
+
+
+@pytest.mark.parametrize("which", range(3), ids=["button", "slider", "menu"])
+def test_keys_of_the_selected_landmarks_work_on_every_control_of_the_panel(small, which):
+    tab(small, "ω")
+    small.page.mouse.click(*place_of(small, 8))
+    becomes(small, "panel.overlay.view.selection", "[8]")
+    controls(small)[which].focus()
+    small.page.keyboard.press("m")
+    becomes(small, "panel.overlay.view.muted", "(8,)")
+    small.page.keyboard.press("m")
+    small.page.keyboard.press("+")
+    becomes(small, "session.config.landmarks.weights", "{'8': 2.0}")
+    small.page.keyboard.press("-")
+    small.page.keyboard.press("Escape")
+    becomes(small, "(panel.overlay.view.selection, session.config.landmarks.weights)", "([], {})")
+
+
+def test_keys_of_the_selected_landmarks_are_letters_in_a_field(small):
+    small.page.mouse.click(*place_of(small, 8))
+    becomes(small, "panel.overlay.view.selection", "[8]")
+    small.page.keyboard.press("/")
+    small.page.keyboard.type("m-")
+    becomes(small, "(panel.controls.search.value, panel.overlay.view.muted)", "('m-', ())")
+    small.page.get_by_placeholder("search all settings").fill("")
+    small.page.locator(".fw-status").click()
+    small.page.keyboard.press("Escape")
+
+
 # --- tasks: at most three actions each on average, without scrolling ---
 
 

@@ -1,10 +1,12 @@
 import { element } from "../shared/canvas.js";
+import { takeFocus } from "../shared/focus.js";
 
 // The canvas of a head, with width and height in CSS pixels, and a line below it for errors.
 export function makePage(el, kind, width, height) {
   el.classList.add("fw-head3d", kind);
   const canvas = element(el, "canvas", ""), message = element(el, "div", "");
-  Object.assign(canvas, { width, height, tabIndex: 0 });
+  Object.assign(canvas, { width, height });
+  takeFocus(canvas);
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "3D head: drag or arrow keys turn it, wheel or + and - zoom, Home resets");
   canvas.style.cssText =

@@ -3,7 +3,7 @@ import { bytesOf } from "../shared/bytes.js";
 import { cleared, roomOf } from "../shared/canvas.js";
 import { handOn } from "../shared/carrying.js";
 import { cssColors } from "../shared/colors.js";
-import { follow, followSize, listen } from "../shared/following.js";
+import { follow, followSize } from "../shared/following.js";
 import { keepHearing } from "../shared/hearing.js";
 import { dragLimit } from "../shared/limit.js";
 import { onDemand } from "../shared/painting.js";
@@ -193,7 +193,6 @@ function render({ model, el }) {
   const stops = [
     ...followModel(model, overlay, draw), painting.stop, listenToRest(overlay, model),
     dragLimit(overlay.page.limit, model, draw),
-    listen(overlay.page.root, { "fw-bare": () => { overlay.bare = !overlay.bare; draw(); } }),
     ...Object.values(overlay.pictures).map((picture) => picture.close), () => overlay.page.root.remove(),
   ];
   return () => stops.forEach((stop) => stop());

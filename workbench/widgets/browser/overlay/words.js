@@ -1,5 +1,6 @@
 import { element } from "../shared/canvas.js";
 import { gradientOf } from "../shared/colors.js";
+import { takeFocus } from "../shared/focus.js";
 import { clamp } from "../shared/numbers.js";
 
 const HELP = {
@@ -25,10 +26,9 @@ export function makePage(el, colors) {
   hoverBox.hidden = true;
   hoverBox.setAttribute("role", "status");
   help.title = HELP_MORE;
-  stage.tabIndex = 0;
+  takeFocus(stage);
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", "Frame with landmarks. " + HELP_MORE);
-  root.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles M and R itself
   return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help, limit: ends[2] };
 }
 

@@ -4,8 +4,9 @@ import { actionOf } from "./help.js";
 const TYPED = "input:not([type=checkbox]), textarea, [contenteditable=true]", PRESSED = "button, select, input";
 
 const focusSearch = (page) => page.panel().querySelector(".fw-controls input")?.focus();
-const toggleMarks = (page) => page.panel().querySelector(".fw-overlay")?.dispatchEvent(new CustomEvent("fw-bare"));
-const HERE = { search: focusSearch, bare: toggleMarks, help: (page) => page.help.toggle() };
+const tellOverlay = (page, key) =>
+  page.panel().querySelector(".fw-overlay")?.dispatchEvent(new CustomEvent("fw-key", { detail: key }));
+const HERE = { search: focusSearch, overlay: tellOverlay, help: (page) => page.help.toggle() };
 
 // Keys while the focus is in the panel, but not in a field; views handle their own first.
 export function listenToKeys(page) {
@@ -16,7 +17,7 @@ export function listenToKeys(page) {
       return { z: event.shiftKey ? "redo" : "undo", y: "redo" }[letter];
     }
     if (event.key === " " && event.target.closest(PRESSED)) return undefined;
-    return actionOf(event.key);
+    return event.key === "Escape" ? "overlay" : actionOf(event.key);
   }
 
   function onKey(event) {
@@ -26,7 +27,7 @@ export function listenToKeys(page) {
     event.preventDefault();
     event.stopPropagation();
     if (action === "why") page.panel().querySelector(".fw-pages")?.classList.remove("fw-folded");
-    if (HERE[action]) HERE[action](page);
+    if (HERE[action]) HERE[action](page, event.key);
     else page.tell("key", action);
   }
 

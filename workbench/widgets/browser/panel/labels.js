@@ -18,7 +18,6 @@ export function labelControls(panel, changed = [panel]) {
     border.setAttribute("role", "separator");
     border.setAttribute("aria-label", "border: drag or arrow keys move it, a double click puts it back");
   }
-  panel.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles the panel's keys itself
   if (!panel.hasAttribute("tabindex")) panel.tabIndex = -1;
 }
 

@@ -1,4 +1,5 @@
 // What a panel does in the page itself: drags of sliders, resets, movable borders, folded pages, keys and labels.
+import { keepKeys } from "../shared/focus.js";
 import { listen } from "../shared/following.js";
 import { keepHearing } from "../shared/hearing.js";
 import { listenToCopies } from "./copying.js";
@@ -23,6 +24,7 @@ function render({ model, el }) {
     takeDownloads(model),
     model.get("has_keys") ? listenToKeys(page) : () => {}, labels.stop,
     listen(document, { click: (event) => page.holds(event.target) && labels.soon() }, true),
+    listen(document, { focusin: (event) => page.holds(event.target) && keepKeys(event.target) }),
   ];
   labels.soon();
   return () => stops.forEach((stop) => stop());

@@ -1,3 +1,5 @@
+import { takeFocus } from "./focus.js";
+
 export function element(parent, tag, name) {
   const made = document.createElement(tag);
   made.className = name;
@@ -10,9 +12,8 @@ export function makeStage(root, name) {
   const stage = element(root, "div", "fw-stage"), drawn = element(stage, "canvas", name);
   const over = element(stage, "canvas", "fw-cursor"), hoverBox = element(stage, "div", "fw-hover");
   hoverBox.hidden = true;
-  stage.tabIndex = 0;
+  takeFocus(stage);
   stage.setAttribute("role", "application");
-  root.dataset.lmSuppressShortcuts = "true";
   return { stage, drawn, over, hoverBox };
 }
 

@@ -1,3 +1,4 @@
+import { takeFocus } from "./focus.js";
 import { listen } from "./following.js";
 import { clamp } from "./numbers.js";
 
@@ -8,7 +9,7 @@ const LEAST = 0.05, MOST = 1000;
 // it when the drag ends.
 export function dragLimit(handle, model, draw) {
   let held = null;
-  handle.tabIndex = 0;
+  takeFocus(handle);
   handle.setAttribute("role", "slider");
   handle.setAttribute("aria-label", "end of the colour scale");
   handle.title = "end of the colour scale of picture, strip and head: drag; double click: automatic";

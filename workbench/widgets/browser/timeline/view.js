@@ -2,6 +2,7 @@
 import { bytesOf } from "../shared/bytes.js";
 import { cleared, element } from "../shared/canvas.js";
 import { cssColors, gradientOf } from "../shared/colors.js";
+import { takeFocus } from "../shared/focus.js";
 import { follow, followSize, followTheme } from "../shared/following.js";
 import { keepHearing } from "../shared/hearing.js";
 import { dragLimit } from "../shared/limit.js";
@@ -24,10 +25,9 @@ function makePage(el, rgb) {
   hoverBox.hidden = true;
   help.textContent = HELP;
   help.title = scale.title = HELP_MORE;
-  stage.tabIndex = 0;
+  takeFocus(stage);
   stage.setAttribute("role", "slider");
   stage.setAttribute("aria-label", "Frame. " + HELP_MORE);
-  root.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles N and P itself
   bar.style.background = gradientOf(cssColors(rgb));
   return { root, stage, strip, over, hoverBox, zero, limit };
 }
