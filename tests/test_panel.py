@@ -14,7 +14,7 @@ import pytest
 
 from tests.scenes import turning_clip
 from workbench.config import FACE_IT_PRESETS, PRESETS, differences, preset, read_config
-from workbench.diagnosis import Change
+from workbench.diagnosis import Change, Diagnosis, Reason, Uncertainty
 from workbench.errors import ConfigError, StoppedError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
@@ -50,7 +50,7 @@ from workbench.widgets.overlay_view import OverlayEvent
 from workbench.widgets.stage_editor import StageEditor, landmarks_text, read_landmarks
 from workbench.widgets.status_line import StatusLine
 from workbench.widgets.tuning_panel import Show
-from workbench.widgets.waiting import Waiting
+from workbench.widgets.waiting import OLD, Waiting
 from workbench.widgets.webgl_head_view import WebGLCanvas
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
@@ -991,34 +991,83 @@ def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
     assert "Frame 0" in panel.diagnosis.status.value
     assert "Pull of each group" in panel.diagnosis.tables.value
     before = panel.session.config
-    applied = panel._diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
+    applied = panel.diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
     assert panel.session.config.point_weights()[0] == 0.0
     assert panel.session.undo_label == "Mute the jaw"
     panel.session.set(weights={"tau": 7.0})
-    assert not panel._diagnosing.take_back(applied)
+    assert not panel.diagnosing.take_back(applied)
     assert "Other changes came after this one" in panel.status.value
     assert panel.session.config.weights.tau == 7.0
     panel.session.set(weights={"tau": before.weights.tau})
-    assert not panel._diagnosing.take_back(applied)  # a change there and back is two steps that came after
+    assert not panel.diagnosing.take_back(applied)  # a change there and back is two steps that came after
     panel.session.undo()
     panel.session.undo()
-    assert panel._diagnosing.take_back(applied)
+    assert panel.diagnosing.take_back(applied)
     assert panel.session.config == before
-    assert panel._diagnosing.take_back(applied)
+    assert panel.diagnosing.take_back(applied)
     assert "undone already" in panel.status.value
     assert panel.session.config == before
 
 
+@pytest.fixture
+def diagnosed(panel, monkeypatch):
+    """The panel with a diagnosis of one reason, which mutes the jaw."""
+    names, none = ("yaw", "pitch", "roll", "x", "y", "z", "jawOpen"), np.zeros(3)
+    uncertainty = Uncertainty(
+        names, np.eye(7), np.eye(7), 1.0, none, none, np.zeros(1), np.zeros(1, bool), condition=1.0, pairs=()
+    )
+    mute = Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}})
+    reason = Reason("jaw", "The jaw is off", "by 9 %", 0.9, {}, mute, before_percent=3.0, after_percent=1.0)
+    found = Diagnosis((reason,), (), uncertainty, panel.fit)
+    monkeypatch.setattr(panel.session, "diagnose", lambda *_: found)
+    panel.diagnosis.ask.click()
+    assert panel.wait_idle(60)
+    yield panel
+    panel.diagnosis.clear()
+
+
+def greyed_out(panel):
+    """Whether the diagnosis is pale, its changes cannot be applied, and its line says why."""
+    view = panel.diagnosis
+    told = OLD in view.reasons._dom_classes, view.apply_buttons[0].disabled, "other settings" in view.status.value
+    assert len(set(told)) == 1, told
+    return told[0]
+
+
+def test_a_diagnosis_of_other_settings_is_greyed_out_until_they_are_back_or_it_is_asked_for_again(diagnosed):
+    seen = [greyed_out(diagnosed)]
+    for change in (
+        lambda: diagnosed.session.set(weights={"tau": 7.0}),
+        diagnosed.session.undo,
+        diagnosed.session.redo,
+        diagnosed.diagnosis.ask.click,
+    ):
+        change()
+        assert diagnosed.wait_idle(60)
+        seen.append(greyed_out(diagnosed))
+    assert seen == [False, True, False, True, False]
+
+
+def test_a_diagnosis_stays_with_its_own_changes(diagnosed):
+    (apply,) = diagnosed.diagnosis.apply_buttons
+    apply.click()
+    assert diagnosed.wait_idle(60)
+    assert (OLD in diagnosed.diagnosis.reasons._dom_classes, apply.disabled) == (False, True)
+    diagnosed.session.undo()
+    assert diagnosed.wait_idle(60)
+    assert OLD not in diagnosed.diagnosis.reasons._dom_classes
+
+
 def test_a_change_that_the_settings_have_already_is_no_step(panel):
     mute = Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}})
-    assert panel._diagnosing.apply(mute) is not None
-    assert panel._diagnosing.apply(mute) is None
+    assert panel.diagnosing.apply(mute) is not None
+    assert panel.diagnosing.apply(mute) is None
     assert "have this change already" in panel.status.value
 
 
 def test_a_change_that_the_session_refuses_is_not_taken_for_applied(panel):
     before = panel.session.config
-    assert panel._diagnosing.apply(Change("Impossible", config={"weights": {"tau": -1.0}})) is None
+    assert panel.diagnosing.apply(Change("Impossible", config={"weights": {"tau": -1.0}})) is None
     assert panel.session.config == before
 
 

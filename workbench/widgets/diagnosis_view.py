@@ -8,8 +8,10 @@ import ipywidgets as widgets
 from workbench.config import Config
 from workbench.diagnosis.records import Change, Diagnosis, Reason
 from workbench.session.history import Step
+from workbench.widgets.waiting import OLD
 
 MOST_REASONS = 5
+OUTDATED = "Of other settings; ask again."
 
 
 class DiagnosisView:
@@ -34,6 +36,7 @@ class DiagnosisView:
         self.reasons = widgets.VBox()
         self.tables = widgets.HTML(layout=widgets.Layout(flex="1 1 0", min_width="0"))
         self.apply_buttons: list[widgets.Button] = []
+        self._said, self._outdated, self._applied = "", False, set[widgets.Button]()
         self.reasons.layout = widgets.Layout(flex="1.2 1 0", min_width="0")
         body = widgets.HBox([self.reasons, self.tables], layout=widgets.Layout(flex="0 0 auto"))
         self.widget = widgets.VBox(
@@ -44,17 +47,31 @@ class DiagnosisView:
 
     def say(self, text: str) -> None:
         """Show one line next to the button."""
-        self.status.value = html.escape(text)
+        self._said = text
+        self._show_state()
 
     def clear(self, text: str = "") -> None:
         """Clear the last diagnosis."""
         self.reasons.children, self.tables.value, self.apply_buttons = (), "", []
+        self._outdated = False
         self.say(text)
+
+    def show_outdated(self, outdated: bool) -> None:
+        """Grey the shown diagnosis out, with none of its changes to be applied, or show it as before."""
+        self._outdated = outdated and bool(self.tables.value)
+        self._show_state()
+
+    def _show_state(self) -> None:
+        self.status.value = html.escape(f"{self._said} {OUTDATED}" if self._outdated else self._said)
+        for part in (self.reasons, self.tables):
+            (part.add_class if self._outdated else part.remove_class)(OLD)
+        for button in self.apply_buttons:
+            button.disabled = self._outdated or button in self._applied
 
     def show(self, frame: int, diagnosis: Diagnosis) -> None:
         """Show the diagnosis of a frame."""
         reasons = diagnosis.reasons[:MOST_REASONS]
-        self.apply_buttons = []
+        self.apply_buttons, self._applied, self._outdated = [], set(), False
         self.reasons.layout.display = None if reasons else "none"
         self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
         self.tables.value = pulls_table(diagnosis) + uncertainty_table(diagnosis)
@@ -86,10 +103,13 @@ class DiagnosisView:
 
         def on_apply(_button) -> None:
             applied[:] = filter(None, [self._apply(reason.change)])
+            if applied:
+                self._applied.add(apply)
             apply.disabled, back.disabled = bool(applied), not applied
 
         def on_back(_button) -> None:
             if self._take_back(*applied):
+                self._applied.discard(apply)
                 apply.disabled, back.disabled = False, True
 
         apply.on_click(on_apply)

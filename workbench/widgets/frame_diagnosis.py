@@ -31,6 +31,12 @@ class FrameDiagnosis:
     ) -> None:
         self._session, self._status, self._later, self._frame = session, status, later, frame
         self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
+        self._answered: list[Config] = []
+        """The settings of the shown diagnosis, and those that its own changes made of them."""
+
+    def show_config(self) -> None:
+        """Grey the diagnosis out while the session has other settings."""
+        self.view.show_outdated(self._session.config not in self._answered)
 
     def apply(self, change: Change) -> Step[Config] | None:
         """Apply the change proposed by a reason: its undo step; None if the session refuses it, or has it already."""
@@ -40,6 +46,8 @@ class FrameDiagnosis:
         if self._session.undo_steps == before:
             self._status.say("The settings have this change already.")
             return None
+        self._answered.append(self._session.config)
+        self.show_config()
         return self._session.undo_steps[-1]
 
     def take_back(self, applied: Step[Config]) -> bool:
@@ -64,11 +72,13 @@ class FrameDiagnosis:
         self._later(self._diagnose)
 
     def _diagnose(self, job: Job) -> None:
-        frame = self._frame()
+        frame, config = self._frame(), self._session.config
         try:
             found = self._session.diagnose(frame, job.progress, job.cancelled)
         except WorkbenchError as error:
             self.view.clear(str(error))
             return
         if frame == self._frame():
+            self._answered = [config]
             self.view.show(frame, found)
+            self.show_config()

@@ -125,13 +125,13 @@ class TuningPanel(LateParts):
         self.page, self.clip = parts.PanelPage(keys=True), parts.ClipViews(session, self.go)
         self._iterations = parts.Iterations(session, self.status, self._redraw, TABS_PX)
         self.energy, self.stages = self._iterations.energy, self._iterations.stages
-        self._diagnosing = parts.FrameDiagnosis(session, self.status, self._later, lambda: self.frame, TABS_PX)
-        self.diagnosis = self._diagnosing.view
+        self.diagnosing = parts.FrameDiagnosis(session, self.status, self._later, lambda: self.frame, TABS_PX)
+        self.diagnosis = self.diagnosing.view
         self.time = parts.TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
         self.overlay = parts.LandmarkTools(session, head, self.say, self.waiting, self._redraw)
         self.scale = parts.SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
         self.head = parts.HeadColumn(
-            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self.waiting, self._redraw,
+            session, head, HEAD_SIZE, backend, self.diagnosing.uncertainty, self.waiting, self._redraw,
             lambda: self.scale.end,
         )  # fmt: skip
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
@@ -278,6 +278,7 @@ def show_session(panel: TuningPanel, held: str = "") -> None:
     config = panel.session.config
     panel.controls.show(config, but=held)
     panel.stages.show(config)
+    panel.diagnosing.show_config()
     panel.strip.show_config()
     panel.overlay.refresh_groups()
     panel.time.show_config()
