@@ -470,6 +470,44 @@ def test_the_derivative_through_the_network_is_taken_on_few_frames_and_the_label
     assert {config.deep.derivative for _, config, _ in deep_rows(quick=True)} == {"broyden"}
 
 
+class TestNotesOnIterations:
+    """A note says what the numbers of its own run show."""
+
+    @pytest.mark.parametrize(
+        ("errors", "told"),
+        [((4.3, 4.28, 4.28), "after 1 iteration where"), ((9.0, 4.3, 4.28), "after 5 iterations where")],
+    )
+    def test_the_pose_converges_after_as_many_as_the_errors_say(self, errors, told):
+        assert told in face_it.pose_notes((1, 5, 15), errors)[0]
+
+    def test_a_pose_that_needs_as_many_as_the_papers_is_not_said_to_need_fewer(self):
+        assert not any("converged" in note for note in face_it.pose_notes((1, 5, 15), (9.0, 6.0, 4.0)))
+
+    def test_the_expression_is_said_not_to_converge_within_the_iterations_that_were_run(self):
+        assert face_it.expression_notes((1, 5, 15), (4.3, 4.2, 3.6)) == ["The expression has not converged after 15."]
+
+    def test_an_expression_that_converges_is_not_said_not_to(self):
+        assert face_it.expression_notes((1, 15, 40, 50), (4.3, 3.01, 3.0, 3.0)) == []
+
+    def test_fifteen_iterations_are_too_few_where_more_give_a_smaller_error(self):
+        assert face_it.expression_notes((1, 15, 40, 50), (4.3, 4.0, 3.0, 2.0)) == [
+            "As in the paper, the expression has not converged after 50.",
+            "Unlike in the paper, 15 iterations of the expression are not enough.",
+        ]
+
+    @pytest.mark.parametrize(
+        ("by_rho", "by_epsilon", "told"),
+        [
+            ((2.0, 2.1, 2.0), (2.0, 3.0, 5.0), ["Time grows with ε; iterations of the pose"]),
+            ((5.6, 7.3, 4.8), (2.0, 3.0, 5.0), ["Time grows with ε."]),
+            ((5.6, 7.3, 4.8), (2.4, 1.9, 3.4), []),
+        ],
+    )
+    def test_times_are_said_to_grow_where_they_do(self, by_rho, by_epsilon, told):
+        notes = face_it.time_notes(np.array(by_rho), np.array(by_epsilon))
+        assert [note[: len(words)] for note, words in zip(notes, told, strict=True)] == told
+
+
 def test_a_frame_of_the_clip_is_solved_once_under_each_configuration(monkeypatch):
     """Unless it is seen in another picture."""
     asked = []
