@@ -833,12 +833,14 @@ NAMED_BY_NO_STAGE = {
     "constants.weighted_edges",
 }
 """What belongs to terms that no stage of FACE IT!'s presets names."""
+OF_BETA = {"constants.a", "constants.b", "constants.c"}
+"""What belongs to E_β, whose weight is 0 in the presets that begin."""
 UNSEEN = {"group.irises", "group.dense"}
 """The weights of points that detectors of the 68 do not see."""
 
 
 def test_settings_of_the_other_system_are_greyed_out_and_a_sentence_says_why(panel):
-    assert controls_of(panel, enabled=False) == {knob.path for knob in DEEP} | NAMED_BY_NO_STAGE | UNSEEN
+    assert controls_of(panel, enabled=False) == {knob.path for knob in DEEP} | NAMED_BY_NO_STAGE | OF_BETA | UNSEEN
     assert "detector" in panel.controls.notes["points"].value
     assert "Deep Energies" in panel.controls.notes["deep"].value
     assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["ω", "points", "a b c", "deep"]
@@ -870,6 +872,26 @@ def test_sliders_of_further_points_act_where_there_are_such_points_whatever_the_
     assert greyed(preset("joint"), DENSE) == set()
 
 
+@pytest.mark.parametrize(("beta", "prior", "greyed"), [(0.0, 1.0, OF_BETA), (3.0, 0.0, OF_BETA), (3.0, 1.0, set())])
+def test_the_constants_of_a_term_act_where_the_product_of_its_weights_is_not_0(beta, prior, greyed):
+    controls = Controls(preset("joint").changed(weights={"beta": beta, "prior": prior}), lambda path, value: None)
+    assert {path for path in OF_BETA if controls.by_path[path].input.disabled} == greyed
+
+
+def test_the_note_on_constants_calls_them_settings_and_names_both_reasons(panel):
+    assert (
+        "Greyed-out settings belong to terms that no stage names, or whose weight"
+        in panel.controls.notes["a b c"].value
+    )
+
+
+@pytest.mark.parametrize(("value", "shown"), [(1000.0, "=1000"), (1234.0, "=1230"), (0.05, "=0.05"), (0.0, "=0")])
+def test_the_product_beside_a_weight_has_no_exponent(value, shown):
+    config = preset("joint").changed(weights={"prior": 1.0, "tau": value})
+    controls = Controls(config, lambda path, number: None)
+    assert controls.by_path["weights.tau"].effective.value == shown
+
+
 def test_the_field_of_view_is_that_of_a_measured_camera_where_there_is_one():
     camera = {"matrix": [[900, 0, 320], [0, 900, 240], [0, 0, 1]]}
     controls = Controls(preset("joint").changed(camera=camera), lambda path, value: None)
@@ -887,7 +909,7 @@ def test_what_is_greyed_out_changes_no_fit(head, photo):
         value = {"choice": knob.choices[-1:], "switch": (False,)}.get(knob.kind, (0.7,))[0]
         other = other.changed(**changed_by(other, path, value))
     before, after = (TuningSession(head, photo, made).fit_frame(0) for made in (config, other))
-    assert len(differences(config, other)) == len(DEEP) + len(NAMED_BY_NO_STAGE | UNSEEN)
+    assert len(differences(config, other)) == len(DEEP) + len(NAMED_BY_NO_STAGE | OF_BETA | UNSEEN)
     np.testing.assert_array_equal(after.expression, before.expression)
     np.testing.assert_array_equal(after.rotation, before.rotation)
 

@@ -458,6 +458,18 @@ def test_export_an_animation(small, actions, screenshots):
     small.page.keyboard.press("e")
 
 
+def test_the_chosen_format_of_an_export_is_not_cut(small):
+    small.page.keyboard.press("e")
+    menu = small.page.locator(".fw-export select").first
+    cut = []
+    for number in range(menu.locator("option").count()):
+        menu.select_option(index=number)
+        cut += small.page.evaluate(CUT)
+    small.page.locator(".fw-status").click()
+    small.page.keyboard.press("e")
+    assert cut == []
+
+
 def test_find_a_setting_and_raise_it(small, actions):
     actions.key("/")
     actions.type("steady head")

@@ -188,13 +188,15 @@ def inert_among(config: Config, paths: Iterable[str], scheme: LandmarkScheme | N
     scheme = detector_scheme(config.landmarks.detector) if scheme is None else scheme
     traits, terms, system = config.traits, config.summed_terms, config.system
     ones = dict.fromkeys(config.omega(), 1.0)
+    stages = (zip(config.terms, config.factors(stage), strict=True) for stage in config.stages)
+    weighty = {name for stage in stages for name, weight in stage if weight}
 
     def acts(path: str) -> bool:
         section, _, key = path.rpartition(".")
         if path == "deep.lambda_reading":
             return acts("deep.regularisation")
         if section == "constants":
-            return any(key in TABLE[name].constants for name in terms)
+            return any(key in TABLE[name].constants for name in weighty)
         if section in ("weights", "deep") and path in ones:
             # An ω acts if it multiplies a term that is in some stage.
             without = {**ones, path: 0.0}

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence, Set
 
 import ipywidgets as widgets
+import numpy as np
 
 from workbench.config import FACE_IT_PRESETS, Config
 from workbench.landmarks.scheme import LandmarkScheme
@@ -80,7 +81,7 @@ class Controls:
             note.layout.display = None if greyed else "none"
         for path, product in effective_weights_of(config).items():
             if path in self.by_path and self.by_path[path].knob.level:
-                self.by_path[path].effective.value = f"={product:.3g}"
+                self.by_path[path].effective.value = f"={three_digits(product)}"
 
     def reset(self, path: str) -> None:
         """Set a knob back to the start, as a double click on it does; other paths are ignored."""
@@ -120,6 +121,7 @@ NO_SUCH_POINTS = (
     "use them."
 )
 CAMERA_GIVEN = "The measured camera (<i>camera.matrix</i> or <i>camera.rig</i>) has a field of view of its own."
+OF_IDLE_TERMS = "Greyed-out settings belong to terms that no stage names, or whose weight (ω) is 0."
 NOT_NAMED = "Greyed-out weights belong to a term that no stage names; add it to a stage's <i>terms</i>."
 
 
@@ -133,7 +135,9 @@ def _why_inert(config: Config, title: str, greyed: Set[str]) -> str:
         own, whole, some = config.traits.reads("deep"), OF_DEEP, SOME_OF_DEEP
     else:
         own, whole, some = not config.traits.reads("deep"), OF_FACE_IT, SOME_OF_FACE_IT
-    return NOT_NAMED if own else whole if every else some
+    if own:
+        return OF_IDLE_TERMS if title == "a b c" else NOT_NAMED
+    return whole if every else some
 
 
 PAGES = {
@@ -171,6 +175,11 @@ def menu(
     return widgets.Dropdown(
         options=options, tooltip=tip, layout=widgets.Layout(width=width, flex="0 0 auto"), **chosen
     )  # fmt: skip
+
+
+def three_digits(value: float) -> str:
+    """A number to three digits, without an exponent: 1000, not 1e+03."""
+    return np.format_float_positional(value, 3, fractional=False, trim="-")
 
 
 def preset_names(config: Config) -> tuple[str, ...]:

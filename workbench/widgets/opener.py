@@ -20,7 +20,8 @@ from workbench.widgets.status_line import error_text
 from workbench.widgets.tuning_panel import TuningPanel
 from workbench.widgets.upload import Upload
 
-PATH_HINT = f"photo, clip, folder, track.npz or landmark file ({' '.join(SUFFIXES)})"
+PATH_HINT = "photo, clip, folder, track or landmark file"
+PATH_TIP = f"a file or folder on the computer where Python runs; tracks are .npz files, landmarks {', '.join(SUFFIXES)}"
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class SessionOpener(widgets.VBox):
         self.samples = {text: small_button(text, "opens at once") for text in sample_choices()}
         for text, button in self.samples.items():
             button.on_click(lambda _button, text=text: self.open_sample(text))
-        self.path = _text(PATH_HINT, "a file or folder on the computer where Python runs", "300px")
+        self.path = _text(PATH_HINT, PATH_TIP, "300px")
         self.landmarks = _text(
             "landmark file (optional)", "landmarks of the pictures, used instead of a detector", "170px"
         )
