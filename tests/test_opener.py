@@ -132,6 +132,10 @@ def test_an_error_is_one_red_sentence_and_leaves_what_is_open(opener, tmp_path, 
     assert not panel.closed.is_set()
 
 
+def test_the_hint_of_the_path_is_short_and_its_tooltip_names_the_suffixes(opener):
+    assert [".pts" in words for words in (opener.path.placeholder, opener.path.tooltip)] == [False, True]
+
+
 def test_an_empty_path_says_what_to_do(opener):
     opener.open_button.click()
     assert "Type the path" in opener.message.value
