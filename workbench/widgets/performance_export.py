@@ -41,7 +41,7 @@ class PerformanceExport:
         download: Callable[[Path], None],
     ) -> None:
         self._session, self._settings, self._cancelled = session, settings, threading.Event()
-        self.format = menu(KINDS, "400px", "format of the file")
+        self.format = menu(KINDS, "440px", "format of the file")
         self.file = widgets.Text(
             f"{session.material.name}.glb", tooltip="file or folder to write", layout=widgets.Layout(width="180px")
         )
