@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
-from workbench.config import PRESETS, preset, read_config
+from workbench.config import PRESETS, Stage, preset, read_config
 from workbench.errors import ConfigError, InputError
 from workbench.frames import read_picture, write_picture
 from workbench.landmarks.files import read_landmark_file
@@ -275,13 +275,16 @@ def test_nothing_compiles_after_the_warm_up(head, photo):
     assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == before
 
 
-@pytest.mark.parametrize(("name", "other"), [("joint", "deep-points"), ("deep-points", "joint")])
-def test_a_frame_is_fitted_anew_by_the_other_system_once_the_session_has_changed_to_it(name, other, head, photo):
-    session = TuningSession(head, photo, preset(name))
+@pytest.mark.parametrize("turn", [1, -1], ids=["to-deep", "to-face-it"])
+def test_a_frame_is_fitted_anew_by_the_other_system_once_the_session_has_changed_to_it(turn, head, photo):
+    stages = (Stage(name="pose", free=("rotation", "translation"), terms=("tau",), limit=5),)
+    deep = preset("deep-points").changed(stages=stages, identity={"calibrate": False}, deep={"appearance": "model"})
+    first, other = (preset("joint"), deep)[::turn]
+    session = TuningSession(head, photo, first)
     before = session.fit_frame(0)
-    session.use(preset(other))
+    session.use(other)
     after = session.fit_frame(0)
-    session.use(preset(name))
+    session.use(first)
     assert [same(session.fit_frame(0), fit) for fit in (before, after)] == [True, False]
 
 
