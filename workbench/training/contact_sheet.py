@@ -37,7 +37,7 @@ class Sample(NamedTuple):
 def shown_early(
     report: Callable[[str], None], folder: Path, samples: Callable[[Path], Iterable[Sample]]
 ) -> Callable[[int, int], None]:
-    """The progress of rendering a pool; its first part done, a contact sheet of `samples(folder)` lies in the folder."""
+    """The progress of rendering a pool; once a part is done, the folder has a contact sheet of `samples(folder)`."""
 
     def progress(done: int, total: int) -> None:
         report(f"rendered {done} of {total}")
