@@ -79,6 +79,7 @@ LONG = (
 """Files that take renders through networks, differentiate whole fits, run whole systems under every landmark scheme,
 paint characters, or kill and restart the processes of pools and clusters; single tests elsewhere have the mark."""
 TRAIN = (
+    "test_contact_sheets.py",
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
     "test_networks_flow.py",
