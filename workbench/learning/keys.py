@@ -12,7 +12,7 @@ from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
 
 ANEW = "begin anew by --overwrite in place of --resume (in a session, without resume=True)"
-"""What to do where it does not belong to it."""
+"""The advice in errors about a stored search or learning that does not fit what is asked for."""
 
 
 def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: WeightedSum, **more: Any) -> str:
