@@ -21,6 +21,7 @@ from tests.scenes import make_scene
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config
+from workbench.frames import write_picture
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
@@ -296,6 +297,13 @@ def test_a_run_without_any_face_ends_with_what_to_try(run, tmp_path):
     assert "0 of 1 with a face" in out
     assert err.startswith("error: No face was found in any frame; ")
     assert "--detector" in err
+
+
+def test_where_a_point_names_no_face_the_error_names_the_point(run, tmp_path):
+    write_picture(tmp_path / "grey.png", np.full((240, 320, 3), 90, np.uint8))
+    code, _, err = run("landmarks", "grey.png", "--detector", "network", "--face", "300,20.5")
+    assert code == 1
+    assert err.startswith("error: No face was found at 300,20.5; name a point inside the face")
 
 
 def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp_path):

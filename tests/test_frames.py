@@ -157,7 +157,7 @@ def test_a_format_that_is_not_offered_is_not_decoded_under_another_name(tmp_path
 
 @pytest.mark.parametrize("shape", [(8, 9), (8, 9, 3)], ids=["grey", "colour"])
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_a_tiff_of_floating_point_numbers_is_told_from_a_damaged_one(shape, kind, tmp_path):
+def test_a_tiff_of_floating_point_numbers_is_not_called_damaged(shape, kind, tmp_path):
     (tmp_path / "p.tif").write_bytes(cv2.imencode(".tif", np.ones(shape, kind))[1].tobytes())
     with pytest.raises(InputError, match=r"p\.tif has floating-point pixels, expected 8 or 16 bits: convert it"):
         read_picture(tmp_path / "p.tif")

@@ -246,6 +246,31 @@ def test_a_point_on_the_forehead_is_the_faces():
     assert results[0].source == "detected"
 
 
+def test_a_point_on_the_forehead_counts_at_once_also_where_the_face_appears_later():
+    """At first there is nobody, and the next thorough search is frames away."""
+    away, there = (scene(t) for t in (0, 17))
+    away = Scene(away.picture, ())
+    left, top, right, _ = frame_from_points(there.faces[0]).box()
+    point = ((left + right) / 2, top - 0.2 * (right - left))
+    results, _ = run([away, away, there], InWholePictures([away, there]), face=point)
+    assert [result.source for result in results] == ["none", "none", "detected"]
+
+
+def test_a_larger_face_does_not_take_the_place_of_a_lost_one_that_was_named():
+    large = cv2.resize(scene(0).picture, None, fx=3, fy=3)
+    small = scene(0)
+    picture = np.hstack([large, cv2.copyMakeBorder(small.picture, 0, 2 * SIZE[1], 0, 0, cv2.BORDER_CONSTANT)])
+    faces = (3 * small.faces[0], small.faces[0] + (3 * SIZE[0], 0))
+    seen, hidden, again = (Scene(picture.copy(), shown) for shown in (faces, faces[:1], faces))
+    hidden.picture[0, 0] ^= 255  # another picture for the detector, the same for the eye
+    again.picture[1, 1] ^= 255
+    x, y = faces[1].mean(axis=0)
+    detector = InWholePictures([seen, hidden, again])
+    results, _ = run([seen, hidden, hidden, again], detector, face=(float(x), float(y)), patience=0)
+    assert [result.source for result in results] == ["detected", "none", "none", "detected"]
+    assert error_in_sides(results[3], faces[1]) < 0.02
+
+
 def test_after_a_cut_the_face_nearest_to_the_given_point_is_taken():
     first, second = scene(0), scene(30)
     second = Scene(255 - np.roll(second.picture, 200, axis=1), (second.faces[0] + (200, 0),))

@@ -5,6 +5,7 @@ import pytest
 
 import workbench
 from workbench import one_picture
+from workbench.config import preset
 from workbench.errors import ConfigError, InputError
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -171,6 +172,9 @@ class Blind:
 def test_a_picture_without_a_face_is_refused_in_one_sentence(portrait):
     with pytest.raises(InputError, match="No face was found by the detector 'blind'; turn the picture"):
         workbench.fit(portrait, detector=Blind())
+    named = preset("joint").changed(landmarks={"face": (20, 30)})
+    with pytest.raises(InputError, match="No face was found at 20,30; name a point"):
+        workbench.fit(portrait, config=named, detector=Blind())
 
 
 @pytest.mark.parametrize(

@@ -481,7 +481,7 @@ class TestLoop:
         assert checked_plan(LandmarkTask(), tmp_path, plan) == plan
 
     @pytest.mark.parametrize("content", ['{"pha', '{"phases": []}', '{"phases": [], "widths": [1], "lens": 1}', ""])
-    def test_a_damaged_plan_is_told_with_what_to_do(self, tmp_path, content):
+    def test_a_damaged_plan_is_reported_with_what_to_do(self, tmp_path, content):
         (tmp_path / PLAN_FILE).write_text(content)
         with pytest.raises(InputError, match=f"{PLAN_FILE} .*the plan of a training.*--overwrite"):
             checked_plan(LandmarkTask(), tmp_path, PLAN)

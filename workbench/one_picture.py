@@ -219,7 +219,8 @@ def _found(picture: np.ndarray, config: Config, detector: LandmarkDetector | str
     observation = next(source.observations(0, {}, stills=True))
     if observation.landmarks is None:
         raise InputError(
-            f"No face was found by the detector {detector.name!r}; turn the picture so that the face is upright, or "
+            config.landmarks.missed_face
+            or f"No face was found by the detector {detector.name!r}; turn the picture so that the face is upright, or "
             "enlarge it until the face is 60 pixels wide, try another detector, or give the landmarks."
         )
     return observation

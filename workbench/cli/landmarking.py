@@ -112,7 +112,7 @@ def landmarks(
             raise typer.Exit(130) from None
     _tell(found, source, inputs, out, drawn)
     if all(item.landmarks is None for item in found):
-        screen.print_error(NO_FACE)
+        screen.print_error(settings.landmarks.missed_face or NO_FACE)
         raise typer.Exit(1)
 
 

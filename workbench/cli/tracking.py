@@ -88,7 +88,9 @@ NO_FACE = (
 )
 CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
-FACE_HELP = "Pixel X,Y inside the face to follow; without a face there, a frame has none."
+FACE_HELP = (
+    "Pixel X,Y inside the face to follow, in the first frame that shows it; a photo without a face there has none."
+)
 
 
 def track(
@@ -277,7 +279,7 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
             raise typer.Exit(130) from None
     print_result(result)
     if not result.summary["frames_with_face"]:
-        screen.print_error(NO_FACE)
+        screen.print_error(config.landmarks.missed_face or NO_FACE)
         raise typer.Exit(1)
 
 

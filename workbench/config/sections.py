@@ -179,8 +179,8 @@ class LandmarksConfig(Section):
     face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(
         None,
-        description="A pixel inside the face to track, in a rig's first view; without a face there, a frame has none. "
-        "Default, and in other views: the largest.",
+        description="A pixel inside the face to track, in the first frame that shows it (a rig's first view); a photo "
+        "without a face there has none. Default, and in other views: the largest.",
     )
     confidence: bool = Field(
         True, description="Weigh each point by the detector's confidence; false: all alike, as published."
@@ -191,6 +191,17 @@ class LandmarksConfig(Section):
     moved: dict[FrameKey, dict[PointKey, tuple[float, float]]] = Field(
         {}, description="Detections corrected by hand: frame number, then point number, then position in pixels."
     )
+
+    @property
+    def missed_face(self) -> str:
+        """What to say where a point names the face and none was found; empty where none does."""
+        if self.face is None:
+            return ""
+        x, y = self.face
+        return (
+            f"No face was found at {x:g},{y:g}; name a point inside the face (landmarks.face, --face), in pixels of "
+            "the first frame that shows it, or leave the point out to follow the largest."
+        )
 
     def kept_by_presets(self) -> dict[str, Any]:
         """The values of `of_clip`."""

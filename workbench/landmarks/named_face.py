@@ -1,8 +1,8 @@
-"""The face at a point that a user named, also where detectors stop at larger ones."""
+"""The face that a user named by a point, also where detectors stop at larger ones."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
+from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,8 +13,12 @@ from workbench.networks.face_finder import part_sides
 Point = tuple[float, float]
 SMALLEST_PART = 64
 """Side in pixels of the smallest part around the point: a face of 16 pixels is a quarter of it."""
+THOROUGH_PARTS = 2
+"""The largest parts, which are looked at thoroughly as well: that takes seconds."""
 MARGIN = 0.3
 """Box sides by which a point may lie beside a box, which leaves out forehead and ears, if it lies in no other one."""
+LIKE = 2.0
+"""By so much a face that was lost may have become larger or smaller until it is found again."""
 
 
 def faces_at(
@@ -26,15 +30,45 @@ def faces_at(
     detectors look for small faces only where they see no large one: quickly, and for "full" once more thoroughly.
     """
     found = detector.detect_faces(picture, effort)
-    if (here := _holding(found, point)) or effort == "quick":
+    if here := _holding(found, point):
         return here
-    looks: tuple[Effort, ...] = ("quick", "thorough") if effort == "full" else ("quick",)
-    for look, (left, top, part) in product(looks, _parts_around(picture, point)):
-        seen = [_shifted(face, left, top) for face in detector.detect_faces(part, look)]
-        if here := _holding(seen, point):
-            return here
-        found += seen
-    return _holding(found, point, MARGIN)
+    if effort != "quick":
+        for seen in _in_parts(detector, picture, point, "quick"):
+            if here := _holding(seen, point):
+                return here
+            found = [*found, *seen]
+    if (near := _holding(found, point, MARGIN)) or effort != "full":
+        return near
+    thorough = (_holding(seen, point) for seen in _in_parts(detector, picture, point, "thorough", THOROUGH_PARTS))
+    return next(filter(None, thorough), [])
+
+
+def faces_like(
+    detector: LandmarkDetector, picture: UInt8[np.ndarray, "h w 3"], point: Point, side: float, effort: Effort
+) -> list[FaceDetection]:
+    """The faces about as large as one with this box side (pixels) that was lost at `point`, wherever they are now.
+
+    Others are not it, however near. But for "quick", parts of the picture around the point are looked at as well where
+    the whole shows no such face.
+    """
+    looks = chain(
+        [detector.detect_faces(picture, effort)],
+        [] if effort == "quick" else _in_parts(detector, picture, point, "quick"),
+    )
+    like = ([face for face in seen if side / LIKE < face.area**0.5 < side * LIKE] for seen in looks)
+    return next(filter(None, like), [])
+
+
+def _in_parts(
+    detector: LandmarkDetector,
+    picture: UInt8[np.ndarray, "h w 3"],
+    point: Point,
+    effort: Effort,
+    most: int | None = None,
+) -> Iterator[list[FaceDetection]]:
+    """What the detector finds in each part around the point, in pixels of the picture."""
+    for left, top, part in islice(_parts_around(picture, point), most):
+        yield [_shifted(face, left, top) for face in detector.detect_faces(part, effort)]
 
 
 def _parts_around(

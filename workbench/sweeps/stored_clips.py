@@ -137,7 +137,8 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
             before = observation
         found.append(_without_picture(observation))
     if not any(observation.landmarks is not None for observation in found):
-        raise InputError(f"{source.clip} {NO_FACES}")
+        missed = config.landmarks.missed_face
+        raise InputError(f"{source.clip}: {missed}" if missed else f"{source.clip} {NO_FACES}")
     flow = np.stack(flow) if flow and all(each is not None for each in flow) else None
     if source.flow and flow is None:
         raise lacking("flow")
