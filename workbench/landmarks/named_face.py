@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import chain, islice
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.networks.face_finder import part_sides
@@ -19,6 +19,25 @@ MARGIN = 0.3
 """Box sides by which a point may lie beside a box, which leaves out forehead and ears, if it lies in no other one."""
 LIKE = 2.0
 """By so much a face that was lost may have become larger or smaller until it is found again."""
+
+
+def named_faces(
+    detector: LandmarkDetector,
+    picture: UInt8[np.ndarray, "h w 3"],
+    point: Point,
+    effort: Effort,
+    place: Float[np.ndarray, "2"] | None,
+    side: float,
+) -> list[FaceDetection]:
+    """The faces that can be the one at `point`: until it is found, `faces_at`; where it was lost, `faces_like`.
+
+    It was lost at `place`; None after a cut, when any may be it. `side` is that of its box, 0 until it is found.
+    """
+    if side == 0.0:
+        return faces_at(detector, picture, point, effort)
+    if place is None:
+        return detector.detect_faces(picture, effort)
+    return faces_like(detector, picture, (float(place[0]), float(place[1])), side, effort)
 
 
 def faces_at(

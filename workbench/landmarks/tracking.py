@@ -17,7 +17,7 @@ from workbench.errors import InputError
 from workbench.landmarks.alignment import frame_from_points
 from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.landmarks.fusion import fused
-from workbench.landmarks.named_face import faces_at, faces_like
+from workbench.landmarks.named_face import named_faces
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.point_flow import CarriedPoints, FaceCrop, carried, crop_about
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT
@@ -181,12 +181,10 @@ class LandmarkTracker:
     def _detect(self, picture: np.ndarray, effort: Effort) -> list[FaceDetection]:
         started = perf_counter()
         self.detections += 1
-        if self.options.face is not None and self._side == 0.0:
-            found = faces_at(self.detector, picture, self.options.face, effort)
-        elif self.options.face is not None and self._place is not None:
-            found = faces_like(self.detector, picture, tuple(self._place), self._side, effort)
-        else:
+        if self.options.face is None:
             found = self.detector.detect_faces(picture, effort)
+        else:
+            found = named_faces(self.detector, picture, self.options.face, effort, self._place, self._side)
         self._detect_seconds += perf_counter() - started
         return found
 
