@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from workbench.geometry import write_rig
 from workbench.landmarks.alignment import MEAN_SHAPE
 from workbench.landmarks.detection import FaceDetection
 from workbench.landmarks.files import LandmarkCsvWriter
+from workbench.landmarks.network_detector import BUNDLED
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
 from workbench.pipeline.deep_run import ShownFrames
@@ -144,6 +146,22 @@ def raising(error):
         raise error
 
     return fail
+
+
+def test_workers_in_another_folder_find_a_weights_file(head, quick, tmp_path, monkeypatch):
+    shutil.copy(BUNDLED / "heat_maps.safetensors", tmp_path / "net.safetensors")
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    class Elsewhere(Disturbed):
+        def results(self, tasks, do):
+            asked.append(do.plan.deep.network)
+            raise KeyboardInterrupt
+
+    config = preset("deep-points").changed(**QUICK, deep={"network": "net.safetensors"})
+    with pytest.raises(KeyboardInterrupt):
+        track(sample("performance"), tmp_path / "run", head, config, workers=Elsewhere(None), **quick[1])
+    assert asked == [str(tmp_path / "net.safetensors")]
 
 
 def test_whatever_ends_a_run_it_goes_on_after_its_last_frame(head, quick, whole, tmp_path):

@@ -1,5 +1,6 @@
 """USD, meshes and arrays: read back by the libraries that others read them with."""
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
-from workbench.export import make_clip
+from workbench.export import export_track, make_clip
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.skinning import eyeball
 from workbench.export.usd import write_usd
@@ -30,6 +31,18 @@ def clip(head):
 
 def pixels(clip, points_camera):
     return np.asarray(project(clip.camera, points_camera))
+
+
+def test_what_a_killed_export_left_is_removed_by_the_next_of_its_name_but_not_what_another_writes(head, tmp_path):
+    left, written, other = (tmp_path / f".{name}.partial-a1b2c3d4" for name in ("take", "take", "else"))
+    written = written.with_name(".take.partial-e5f6g7h8")
+    for folder in (left, written, other):
+        folder.mkdir()
+        (folder / "000000.obj").write_text("half of it")
+    for folder in (left, other):
+        os.utime(folder, (0.0, 0.0))
+    export_track(performance(head), head, tmp_path / "take.obj")
+    assert [folder.exists() for folder in (left, written, other)] == [False, True, True]
 
 
 # --- the clip itself ---

@@ -63,6 +63,13 @@ def test_a_sweeps_result_belongs_to_what_the_rig_holds(config, rig):
     assert result_key(config, "clip", [range(3)], ["error"], "head") != before
 
 
+def test_a_sweeps_result_belongs_to_a_rig_under_any_name_of_its_file(config, rig, monkeypatch):
+    monkeypatch.chdir(rig.parent)
+    same = config.changed(camera={"rig": rig.name})
+    keys = {result_key(each, "clip", [range(3)], ["error"], "head") for each in (config, same)}
+    assert len(keys) == 1
+
+
 def test_a_tuning_goes_on_only_with_the_same_rig(head, frames, config, rig):
     clip, error = SweptClip("clip", "digest", frames, False), read_sum("error")
     before = key_of(config, clip, head, error)

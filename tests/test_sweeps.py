@@ -14,10 +14,12 @@ from matplotlib import image
 
 from tests.landmark_layouts import dlib_box, dlib_xml
 from tests.short_clips import observations, write_clip
+from tests.stereo_scenes import make_rig
 from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import FrameRange, open_frames, write_picture
+from workbench.geometry import write_rig
 from workbench.landmarks import detectors
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
@@ -545,17 +547,29 @@ def test_motion_that_is_asked_for_without_pictures_is_told_before_any_fit(clips,
     do(plan(clips[0]), tmp_path / "s")  # the folder is still free
 
 
+class Elsewhere(ThisProcess):
+    """Workers that run in another folder."""
+
+    def __init__(self, monkeypatch, folder):
+        self._monkeypatch, self._folder = monkeypatch, folder
+
+    def results(self, tasks, **how):
+        self._monkeypatch.chdir(self._folder)
+        yield from super().results(tasks, **how)
+
+
 def test_clips_are_found_by_workers_in_another_folder(clips, tmp_path, monkeypatch):
-    class Elsewhere(ThisProcess):
-        """Workers that run in a folder of their own."""
-
-        def results(self, tasks, **how):
-            monkeypatch.chdir(tmp_path)
-            yield from super().results(tasks, **how)
-
     monkeypatch.chdir(clips[0].parent)
     wanted = plan(clips[0].name, axes=["weights.tau=1"], objectives=("error",))
-    assert run_sweep(wanted, tmp_path / "s", Elsewhere()).clips == ("one",)
+    assert run_sweep(wanted, tmp_path / "s", Elsewhere(monkeypatch, tmp_path)).clips == ("one",)
+
+
+def test_a_configurations_rig_is_found_by_workers_in_another_folder(clips, tmp_path, monkeypatch):
+    write_rig(make_rig(), tmp_path / "here" / "rig.toml")
+    monkeypatch.chdir(tmp_path / "here")
+    wanted = plan(clips[0], axes=["weights.tau=1"], objectives=("error",))
+    wanted = replace(wanted, base=wanted.base.changed(camera={"rig": "rig.toml"}))
+    assert run_sweep(wanted, tmp_path / "s", Elsewhere(monkeypatch, tmp_path)).clips == ("one",)
 
 
 def test_clips_of_one_name_are_numbered_past_those_that_are_called_so():

@@ -7,8 +7,10 @@ path and what to do.
 import errno
 import os
 import re
+import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -147,13 +149,27 @@ def _place(path: Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def remove_partial_files(folder: Path, names: Collection[str] = ()) -> None:
-    """Remove the temporary files that a killed program left in a folder: of files with these names, or of all."""
-    stems = {Path(name).stem for name in names}
+def remove_partial_files(folder: Path, names: Collection[str] = (), older_than_s: float = 0.0) -> None:
+    """Remove the temporary files and folders that a killed program left in a folder: of these names, or of all.
+
+    `older_than_s`: only what has not been written to for so many seconds, where another program may be at work.
+    """
+    stems = {Path(name).stem[:_LONGEST_STEM] for name in names}
     for path in folder.iterdir() if folder.is_dir() else ():
         left = _LEFT_BEHIND.fullmatch(path.name)
-        if left and (not stems or left[1] in stems):
-            path.unlink(missing_ok=True)
+        if left and (not stems or left[1] in stems) and _untouched_s(path) >= older_than_s:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def _untouched_s(path: Path) -> float:
+    """How long ago a file or folder was written to; 0 where it is gone meanwhile."""
+    try:
+        return max(0.0, time.time() - path.stat().st_mtime)
+    except FileNotFoundError:
+        return 0.0
 
 
 def _refused(path: str | Path, error: OSError | ValueError) -> OutputError:

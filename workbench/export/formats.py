@@ -1,6 +1,7 @@
 """A track exported as what the suffix of the file says."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
 from workbench.face import DressedHead, FaceModel
 from workbench.face.dressed_head import check_wears_characters
-from workbench.files import check_not_inputs
+from workbench.files import check_not_inputs, remove_partial_files
 from workbench.frames import RATE_OF_IMAGES, Frames
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.tracking import Track
@@ -23,6 +24,8 @@ from workbench.tracking.unwatched import silent
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, what is done, and how much there is in all."""
+LEFT_BEHIND_S = 3600.0
+"""Age from which a temporary file of an export is one that a killed program left: none is written to that rarely."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,9 @@ def export_track(
     given = [] if pictures is None else [Path(pictures)]
     check_not_inputs([path], [*given, *input_files(track.meta)])
     check_model(track, model)
+    place = place_of(path)
+    with suppress(OSError):  # tidying up is no reason to fail
+        remove_partial_files(place.parent, [place.name], LEFT_BEHIND_S)
     if dressed is not None:
         check_shows_character(path, dressed.character.name)
         check_wears_characters(model)

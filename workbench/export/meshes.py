@@ -13,7 +13,7 @@ from workbench.export.clip import Clip
 from workbench.export.suffixes import check_free
 from workbench.extras import needs
 from workbench.face import FaceModel
-from workbench.files import atomic_path, make_folder, writing
+from workbench.files import PARTIAL, atomic_path, make_folder, writing
 
 KINDS = ("obj", "ply")
 FIRST_LINE = "face where it stands before the camera: metres, +y up, +z towards the viewer"
@@ -35,7 +35,7 @@ def write_meshes(
     found = np.flatnonzero(clip.track.found).tolist()
     names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]
     with writing(folder):
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:40]}-"))
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:40]}{PARTIAL}"))
     try:
         write = _obj_writer(clip.person) if kind == "obj" else _ply_writer(clip.person)
         for done, (position, name) in enumerate(zip(found, names, strict=True), 1):

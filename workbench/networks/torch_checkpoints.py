@@ -45,7 +45,9 @@ def read_checkpoint(path: str | Path) -> Weights:
     `path` is a state dict (also one under the key "state_dict", also with names behind "module."), a TorchScript
     archive, or a safetensors file, which comes back as it is. Raises `InputError` for anything else.
     """
-    path = checked_file(path, "weights", absent=f"there is no weights file {path}", may_be_empty=True)
+    path = checked_file(
+        path, "weights", absent=f"there is no weights file {path}; check the name and the folder.", may_be_empty=True
+    )
     remedy = (
         "supply a state dict (.pth, .pth.tar) or TorchScript archive (.zip, .pt) as it was published, whole, or a "
         "converted .safetensors file"

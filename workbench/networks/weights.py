@@ -56,7 +56,9 @@ def read_weights(path: str | Path) -> Weights:
 
     Raises `InputError` for a file that is absent, cut off or not safetensors.
     """
-    path = checked_file(path, "weights", absent=f"there is no weights file {path}", may_be_empty=True)
+    path = checked_file(
+        path, "weights", absent=f"there is no weights file {path}; check the name and the folder.", may_be_empty=True
+    )
     remedy = (
         "it is cut off or of another kind; get it again, or make one of a PyTorch checkpoint by: "
         "workbench weights convert FILE"

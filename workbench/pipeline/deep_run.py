@@ -81,7 +81,7 @@ def track_deep_frames(
         )
     shown = ShownFrames(source.count)
     done = len(writer)
-    work = FrameWork(tracker.model, tracker.fitter.plan)
+    work = FrameWork(tracker.model, _in_any_folder(tracker.fitter.plan))
     pairs = _pairs(source, tracker, stills)
     for position, pair in enumerate(islice(pairs, done)):
         if not linked:  # the frame before, which these began with, is not kept
@@ -157,6 +157,12 @@ class FrameWork:
     def __call__(self, task: FrameTask) -> FrameFit:
         """The fit of a frame."""
         return self._fitter.fit(task.observation, task.context)[0]
+
+
+def _in_any_folder(plan: Plan) -> Plan:
+    """The plan with a weights file named as in any folder: workers may run in another one."""
+    weights = Path(plan.deep.network)
+    return replace(plan, deep=replace(plan.deep, network=str(weights.absolute()))) if weights.is_file() else plan
 
 
 def _fits(batch: Sequence[Pair], tracker: FaceTracker, workers: Workers, work: FrameWork) -> Iterator[FrameFit]:

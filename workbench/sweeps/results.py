@@ -23,10 +23,14 @@ UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "fl
 
 
 def result_key(config: Config, digest: str, windows: Sequence[range], objectives: Sequence[str], model: str) -> str:
-    """SHA-256 of configuration, with the order of its weights and what its rig's file holds, input and version: equal
-    keys mean equal numbers."""
+    """SHA-256 of configuration, input and version: equal keys mean equal numbers.
+
+    The order of the weights counts, and what the rig's file holds, wherever that is.
+    """
+    settings = config.model_dump(mode="json", exclude=UNREAD)
+    settings["camera"]["rig"] = content_hash(Path(config.camera.rig)) if config.camera.rig else ""
     read = {
-        "config": config.model_dump(mode="json", exclude=UNREAD),
+        "config": settings,
         "clip": digest,
         "windows": [[window.start, window.stop] for window in windows],
         "objectives": list(objectives),
@@ -34,8 +38,6 @@ def result_key(config: Config, digest: str, windows: Sequence[range], objectives
         "version": __version__,
         "format": FORMAT,
     }
-    if config.camera.rig:
-        read["rig"] = content_hash(Path(config.camera.rig))
     return hashlib.sha256(json.dumps(read).encode()).hexdigest()
 
 

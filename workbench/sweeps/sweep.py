@@ -109,9 +109,8 @@ def run_sweep(
     `resume`, `InputError` if no clip can be used, or fitted and measured at any point. Whatever ends it, finished
     results stay.
     """
+    sweep = _in_any_folder(sweep)  # workers may run in another one
     points, configs = sweep.checked()
-    # Workers may run in another folder.
-    sweep = replace(sweep, sources=tuple(source.anywhere for source in sweep.sources), model=anywhere(sweep.model))
     place = anywhere(str(place))
     storage, progress = Storage(place), progress or silent
     if not resume:
@@ -159,6 +158,15 @@ def run_sweep(
         raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()), 'No result was stored.')}")
     failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}
     return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
+
+
+def _in_any_folder(sweep: Sweep) -> Sweep:
+    """The sweep with its files named as in any folder."""
+    rig, landmarker = anywhere(sweep.base.camera.rig), anywhere(sweep.base.landmarks.face_landmarker)
+    base = sweep.base.changed(camera={"rig": rig}, landmarks={"face_landmarker": landmarker})
+    return replace(
+        sweep, sources=tuple(source.anywhere for source in sweep.sources), base=base, model=anywhere(sweep.model)
+    )
 
 
 def _gaps(name: str, points: Sequence[Point], values: Mapping[tuple[int, str], np.ndarray]) -> str:
