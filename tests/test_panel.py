@@ -1070,6 +1070,13 @@ def test_a_diagnosis_of_other_settings_is_greyed_out_until_they_are_back_or_it_i
     assert seen == [False, True, False, True, False]
 
 
+def test_settings_that_no_fit_of_a_frame_depends_on_leave_its_diagnosis_as_it_is(diagnosed):
+    for section in ({"infill": {"largest_error": 20.0, "frames": [(0, 0)]}}, {"head": {"character": "mei"}}):
+        diagnosed.session.set(**section)
+    assert diagnosed.wait_idle(60)
+    assert not greyed_out(diagnosed)
+
+
 def test_a_diagnosis_stays_with_its_own_changes(diagnosed):
     (apply,) = diagnosed.diagnosis.apply_buttons
     apply.click()

@@ -8,6 +8,7 @@ from workbench.config import Config
 from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
+from workbench.session.dependence import fits_key
 from workbench.session.history import Step
 from workbench.tracking import FrameFit
 from workbench.widgets.diagnosis_view import DiagnosisView
@@ -31,12 +32,12 @@ class FrameDiagnosis:
     ) -> None:
         self._session, self._status, self._later, self._frame = session, status, later, frame
         self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
-        self._answered: list[Config] = []
-        """The settings of the shown diagnosis, and those that its own changes made of them."""
+        self._answered: list[str] = []
+        """Keys of the fits that the shown diagnosis is about: those of its settings, and those after its changes."""
 
     def show_config(self) -> None:
-        """Grey the diagnosis out while the session has other settings."""
-        self.view.show_outdated(self._session.config not in self._answered)
+        """Grey the diagnosis out while the session's settings give other fits."""
+        self.view.show_outdated(fits_key(self._session.config) not in self._answered)
 
     def apply(self, change: Change) -> Step[Config] | None:
         """Apply the change proposed by a reason: its undo step; None if the session refuses it, or has it already."""
@@ -46,7 +47,7 @@ class FrameDiagnosis:
         if self._session.undo_steps == before:
             self._status.say("The settings have this change already.")
             return None
-        self._answered.append(self._session.config)
+        self._answered.append(fits_key(self._session.config))
         self.show_config()
         return self._session.undo_steps[-1]
 
@@ -79,6 +80,6 @@ class FrameDiagnosis:
             self.view.clear(str(error))
             return
         if frame == self._frame():
-            self._answered = [config]
+            self._answered = [fits_key(config)]
             self.view.show(frame, found)
             self.show_config()
