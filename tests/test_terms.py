@@ -158,6 +158,14 @@ def test_a_term_that_does_not_exist_is_named_with_those_that_do():
 # What follows from a row.
 
 
+def test_the_constants_of_a_term_that_a_disabled_stage_alone_names_have_no_effect():
+    joint = preset("joint").changed(deep={"edges": 1.0})
+    stages = [stage.model_dump() for stage in joint.stages]
+    more = stages[-1] | {"name": "edges", "terms": ("edges",)}
+    on, off = (joint.changed(stages=[*stages, more | {"enabled": enabled}]) for enabled in (True, False))
+    assert [inert_among(config, ["constants.weighted_edges"]) != set() for config in (on, off)] == [False, True]
+
+
 def test_the_slider_of_a_term_is_grey_until_a_stage_names_it():
     asked = ("deep.edges", "deep.lambda_reading", "weights.tau", "constants.rotation_mm", "constants.a")
     assert {"deep.edges", "deep.lambda_reading"} <= inert_among(preset("joint"), asked)

@@ -188,7 +188,8 @@ def inert_among(config: Config, paths: Iterable[str], scheme: LandmarkScheme | N
     scheme = detector_scheme(config.landmarks.detector) if scheme is None else scheme
     traits, terms, system = config.traits, config.summed_terms, config.system
     ones = dict.fromkeys(config.omega(), 1.0)
-    stages = (zip(config.terms, config.factors(stage), strict=True) for stage in config.stages)
+    enabled = (stage for stage in config.stages if stage.enabled)
+    stages = (zip(config.terms, config.factors(stage), strict=True) for stage in enabled)
     weighty = {name for stage in stages for name, weight in stage if weight}
 
     def acts(path: str) -> bool:
