@@ -435,6 +435,19 @@ class TestHead:
         found = asked_of_node(self.MOUSE, "spanOf", "[spanOf([{x: 1, y: 2}]), spanOf([{x: 1, y: 2}, {x: 7, y: 10}])]")
         assert found == [{"x": 1, "y": 2, "length": 0}, {"x": 4, "y": 6, "length": 10}]
 
+    def test_the_keys_of_plus_and_minus_zoom_the_head_with_and_without_shift(self):
+        """And leave none to the panel, which would weigh landmarks."""
+        page = """
+            const canvas = new EventTarget(), zooms = [], left = [];
+            listenTo(canvas, () => 1, ({ zoom }) => zooms.push(zoom));
+            for (const key of ["+", "=", "-", "_"]) {
+              const event = Object.assign(new Event("keydown", { cancelable: true }), { key });
+              if (canvas.dispatchEvent(event)) left.push(key);
+            }
+        """
+        zooms, left = asked_of_node(self.MOUSE, "listenTo", f"(() => {{ {page} return [zooms, left]; }})()")
+        assert (zooms, left) == (pytest.approx([0.9, 0.9, 1 / 0.9, 1 / 0.9]), [])
+
     def test_normals_point_outwards_and_a_seam_s_points_share_their_vertex(self):
         mesh = "{ vertices: 4, order: [0, 1, 2, 3, 0], triangles: [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3] }"
         ask = f"(s => [[...s.places], [...s.normals], s.stamp])(makeShape({mesh}).take([0,0,0, 1,0,0, 0,1,0, 0,0,1]))"
@@ -563,7 +576,9 @@ class TestLivePanel:
 
 @needs_node
 class TestPanel:
-    HELP, CROP, VIEWPOINT = (BROWSER / name for name in ("panel/help.js", "head/crop.js", "head/viewpoint.js"))
+    HELP, KEYS, CROP, VIEWPOINT = (
+        BROWSER / name for name in ("panel/help.js", "panel/keys.js", "head/crop.js", "head/viewpoint.js")
+    )
 
     def test_keys_have_their_actions_in_small_and_capital_letters(self):
         ask = '["n", "N", ",", ".", " ", "?", "M", "_", "Enter", "q"].map((key) => actionOf(key) ?? null)'
@@ -574,6 +589,20 @@ class TestPanel:
         named = asked_of_node(self.HELP, "KEYS", 'KEYS.flatMap(([, , , actions]) => actions.split(" "))')
         assert set(named) - {"overlay", "search", "help"} <= set(ACTIONS)
         assert set(ACTIONS) - set(named) == {"undo", "redo"}  # with Ctrl
+
+    def test_one_esc_closes_the_help_and_the_next_clears_the_selection(self):
+        page = """
+            const document = globalThis.document = Object.assign(new EventTarget(), { closest: () => null });
+            const overlay = { dispatchEvent: ({ detail }) => seen.push(detail) }, seen = [];
+            let open = true;
+            const close = () => open && (open = false, Boolean(seen.push("closed")));
+            listenToKeys({ help: { close }, holds: () => true, panel: () => ({ querySelector: () => overlay }) });
+            const press = () => document.dispatchEvent(
+              Object.assign(new Event("keydown", { cancelable: true }), { key: "Escape" }));
+            press(), seen.push("again"), press();
+        """
+        ask = f"(() => {{ {page} return seen; }})()"
+        assert asked_of_node(self.KEYS, "listenToKeys", ask) == ["closed", "again", "Escape"]
 
     def test_the_head_is_seen_through_the_crop_of_the_photo(self):
         """A point of the picture lies as far from the middle of the head's stage as from that of the photo's."""

@@ -6,7 +6,7 @@ const FARTHEST = 240; // limit for one wheel event
 const KEYS = {
   ArrowLeft: { turn: [-STEP_PX, 0] }, ArrowRight: { turn: [STEP_PX, 0] },
   ArrowUp: { turn: [0, -STEP_PX] }, ArrowDown: { turn: [0, STEP_PX] },
-  "+": { zoom: 0.9 }, "-": { zoom: 1 / 0.9 }, Home: { reset: true },
+  "+": { zoom: 0.9 }, "=": { zoom: 0.9 }, "-": { zoom: 1 / 0.9 }, _: { zoom: 1 / 0.9 }, Home: { reset: true },
 };
 
 // The midpoint of one or two pointers, and their distance.

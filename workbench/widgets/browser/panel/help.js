@@ -45,5 +45,11 @@ export function makeHelp(el) {
   box.setAttribute("role", "dialog");
   box.setAttribute("aria-label", "Keys");
   box.addEventListener("click", () => { box.hidden = true; });
-  return { toggle: () => { box.hidden = !box.hidden; }, close: () => { box.hidden = true; } };
+  // Whether it was open.
+  function close() {
+    const open = !box.hidden;
+    box.hidden = true;
+    return open;
+  }
+  return { toggle: () => { box.hidden = !box.hidden; }, close };
 }

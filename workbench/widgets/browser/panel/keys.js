@@ -21,7 +21,6 @@ export function listenToKeys(page) {
   }
 
   function onKey(event) {
-    if (event.key === "Escape") page.help.close();
     const action = wanted(event);
     if (!action) return;
     event.preventDefault();
@@ -31,6 +30,13 @@ export function listenToKeys(page) {
     else page.tell("key", action);
   }
 
+  // An Esc that closes the help does nothing else; it is heard before the views, which have one of their own.
+  function onFirst(event) {
+    if (event.key !== "Escape" || !page.help.close() || !page.holds(event.target)) return;
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
   // A click on nothing in particular brings the focus into the panel, so that its keys work.
   function onClick(event) {
     if (page.holds(event.target) && !page.panel().contains(document.activeElement)) {
@@ -38,5 +44,9 @@ export function listenToKeys(page) {
     }
   }
   const onHelp = (event) => page.holds(event.target) && event.target.closest(".fw-help-button") && page.help.toggle();
-  return listen(document, { keydown: onKey, click: (event) => { onHelp(event); onClick(event); } });
+  const stops = [
+    listen(document, { keydown: onFirst }, { capture: true }),
+    listen(document, { keydown: onKey, click: (event) => { onHelp(event); onClick(event); } }),
+  ];
+  return () => stops.forEach((stop) => stop());
 }
