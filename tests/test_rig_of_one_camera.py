@@ -12,7 +12,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.learning.keys import key_of
 from workbench.learning.learnable import start_of
 from workbench.objectives import read_sum
-from workbench.session import Material, TuningSession
+from workbench.session import Material, TuningSession, diagnosing
 from workbench.session.material import PictureStore
 from workbench.sweeps import ClipSolver, SweptClip, in_first_view, read_axis
 from workbench.sweeps.acting import check_axis
@@ -90,6 +90,25 @@ def test_a_session_calibrates_anew_with_an_edited_rig(head, frames, config, rig)
     session.fit_clip()
     write(TRUE_FOV_DEG, rig)
     np.testing.assert_array_equal(session.fit_clip().identity, session_on(head, frames, config).fit_clip().identity)
+
+
+def test_a_session_fits_a_frame_with_an_edited_rig(head, frames, config, rig):
+    session = session_on(head, frames, config)
+    session.fit_frame(5)
+    write(TRUE_FOV_DEG, rig)
+    fresh = session_on(head, frames, config).fit_frame(5)
+    np.testing.assert_array_equal(session.fit_frame(5).translation, fresh.translation)
+
+
+def test_a_diagnosis_refers_to_the_shot_through_an_edited_rig(head, frames, config, rig, monkeypatch):
+    references, make = [], diagnosing.reference_of
+    monkeypatch.setattr(diagnosing, "reference_of", lambda *given: references.append(make(*given)) or references[-1])
+    session = session_on(head, frames, config)
+    session.diagnose(5)
+    write(TRUE_FOV_DEG, rig)
+    for _ in range(2):
+        session.diagnose(5)
+    assert len(references) == 2
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from workbench.config import Config
 from workbench.diagnosis import Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
 from workbench.errors import InputError
 from workbench.face import FaceModel
-from workbench.planning import plan_of
+from workbench.planning import camera_plan, plan_of
 from workbench.session.clip_run import Run
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.observed_frames import ObservedFrames
@@ -22,7 +22,7 @@ class Diagnosing:
     def __init__(self, model: FaceModel, material: Material, frames: ObservedFrames) -> None:
         self._model, self._material, self._frames = model, material, frames
         self._fitter: FaceItFitter | None = None
-        self._reference: tuple[tuple[int, Config], ShotReference] | None = None
+        self._reference: tuple[tuple[int, Config, str], ShotReference] | None = None
         self._lock = threading.Lock()
 
     def diagnose(
@@ -47,7 +47,7 @@ class Diagnosing:
         with self._lock:
             if self._fitter is None:
                 self._fitter = FaceItFitter(self._model, plan_of(config, self._model.scheme))
-            key = (context.shot, config)
+            key = (context.shot, config, camera_plan(config).of_rig)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self._model, config, case.shot, self._fitter))
             found = diagnose_frame(self._model, case, self._fitter, self._reference[1], progress or silent, cancelled)

@@ -86,7 +86,8 @@ class FrameFits:
         with self._lock:
             observation = self._frames.linked_observation(frame, config)
             shot = next(number for number, frames in enumerate(self._material.shots) if frame in frames)
-            if self._fitter_config is not config:
+            # The file that a rig is read from may change under the same configuration.
+            if self._fitter_config is not config or config.camera.rig:
                 plan = plan_of(config, self._fitter.model.scheme)
                 self._fitter, self._fitter_config = configured(self._fitter, plan), config
             calibrated = self._calibrations.of_shot(shot, config, self._fitter, coarse)
@@ -104,7 +105,8 @@ class FrameFits:
             return self._unless(cancelled, self._fitter.solve(problem, traced, cancelled))
         points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
         last = () if context.last is None else [np.asarray(part).tobytes() for part in context.last.parameters]
-        key = (observation.index, frame_key(self._fitter_config), identity, points, *last)
+        settings = (frame_key(self._fitter_config), self._fitter.plan.camera.of_rig)
+        key = (observation.index, *settings, identity, points, *last)
         if self._solution is None or self._solution[0] != key:
             self._solution = (key, self._unless(cancelled, self._fitter.solve(problem, cancelled=cancelled)))
         return self._solution[1]
