@@ -483,6 +483,10 @@ class TestNotesOnIterations:
     def test_a_pose_that_needs_as_many_as_the_papers_is_not_said_to_need_fewer(self):
         assert not any("converged" in note for note in face_it.pose_notes((1, 5, 15), (9.0, 6.0, 4.0)))
 
+    @pytest.mark.parametrize("errors", [(4.0, 6.0, 4.0), (3.0, 4.0, 4.3), (np.nan, np.nan, np.nan), (4.0, 4.0, np.nan)])
+    def test_a_pose_whose_errors_rise_again_or_are_none_is_not_said_to_converge(self, errors):
+        assert not any("converged" in note for note in face_it.pose_notes((1, 5, 15), errors))
+
     def test_the_expression_is_said_not_to_converge_within_the_iterations_that_were_run(self):
         assert face_it.expression_notes((1, 5, 15), (4.3, 4.2, 3.6)) == ["The expression has not converged after 15."]
 

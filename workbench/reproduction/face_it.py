@@ -51,7 +51,7 @@ SHOWN = (1, 3, 15, 50)
 PAPER_ITERATIONS = 15
 """After these, both the pose and the expression of the paper are good enough."""
 SETTLED = 1.01
-"""An error below this multiple of the last one counts as converged."""
+"""Errors that differ by no more than this factor count as converged."""
 BESIDE = 0.2
 """Times that differ by less than this part of other differences do not show beside those."""
 FRAME = 192
@@ -168,7 +168,9 @@ def iterations(study: Study) -> Result:
 
 def pose_notes(limits: Sequence[int], errors: Sequence[float]) -> list[str]:
     """What the errors against ρ say of the pose's convergence; what they do not bear out is left out."""
-    settled = next(limit for limit, error in zip(limits, errors, strict=True) if error <= SETTLED * errors[-1])
+    rest = (np.array(errors[k:]) for k in range(len(errors)))
+    converged = (limit for limit, each in zip(limits, rest, strict=True) if each.max() <= SETTLED * each.min())
+    settled = next(converged, limits[-1])
     after = f"{settled} iteration{'s' if settled > 1 else ''}"
     converges = (
         "The pose starts from eye corners and nose in closed form (SQPnP), already close, so its landmark error has "
