@@ -188,6 +188,17 @@ def test_what_is_interrupted_while_its_film_is_drawn_leaves_nothing_to_go_on_wit
     assert "--resume" not in err
 
 
+@pytest.mark.parametrize(
+    "command",
+    [("infill", "talk", "--method", "linear"), ("refine", "talk", "--method", "self"), ("reestimate", "talk")],
+)
+def test_what_was_killed_is_only_replaced_for_it_cannot_be_resumed(run, talk, tmp_path, command):
+    (tmp_path / "new" / "track.npz.parts").mkdir(parents=True)
+    code, _, err = run(*command, "--out", "new", *QUICK)
+    said = "new already holds an interrupted run; name another folder, or replace it by --overwrite."
+    assert (code, err.split()) == (2, f"error: {said}".split())
+
+
 def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, head, config, tmp_path):
     track(clip / "points.csv", tmp_path / "points", head, config, pictures=False)
     code, _, err = run("infill", "points", *QUICK)

@@ -45,17 +45,20 @@ LOCKED_BYTE = 4096
 
 
 @contextmanager
-def run_folder(folder: Path, inputs: Iterable[Path], resume: bool, overwrite: bool) -> Iterator[None]:
+def run_folder(
+    folder: Path, inputs: Iterable[Path], resume: bool, overwrite: bool, resumable: bool = True
+) -> Iterator[None]:
     """Make a folder and keep it for one run; what killed runs left half written in it is removed.
 
     Raises `OutputError`, before anything is written, where an output is one of the `inputs`, where another run is at
-    work, and where results would be replaced without `overwrite` or `resume`. A folder that stays empty is removed.
+    work, and where results would be replaced without `overwrite` or `resume`; of `resume` it speaks to a `resumable`
+    run alone. A folder that stays empty is removed.
     """
     check_inputs_kept(folder, inputs)
     for name in FILES:
         check_target(folder / name)
     with locked(folder):
-        _check_free(folder, resume, overwrite)
+        _check_free(folder, resume, overwrite, resumable)
         remove_partial_files(folder, FILES)
         for name in PICTURE_FOLDERS:
             remove_partial_files(folder / name)
@@ -99,15 +102,16 @@ def holds_parts(folder: Path) -> bool:
     return any((folder / name).is_dir() for name in PARTS)
 
 
-def _check_free(folder: Path, resume: bool, overwrite: bool) -> None:
+def _check_free(folder: Path, resume: bool, overwrite: bool, resumable: bool) -> None:
     there = [name for name in FILES if (folder / name).exists()]
     begun = holds_parts(folder)
     if overwrite or (resume and (begun or "track.npz" in there)) or not (there or begun):
         return
-    if begun:
+    if begun and resumable:
         raise OutputError(
             f"{folder} holds an interrupted run; continue it with --resume, or replace it with --overwrite."
         )
+    check_no_results(folder, PARTS, "an interrupted run")
     check_no_results(folder, there, "a finished run" if "track.npz" in there else f"a file {there[0]}")
 
 

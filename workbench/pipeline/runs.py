@@ -302,7 +302,7 @@ def retrack(
     dressed = dressed_as(config.head.character, model) if pictures else None
     opened = views_of(reader.meta, config, clip, views, look_at_pictures(config, steps), pictures)
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
-    with run_folder(folder, inputs, False, overwrite):
+    with run_folder(folder, inputs, resume=False, overwrite=overwrite, resumable=False):
         began = time.perf_counter()
         of_track = {name: value for name, value in reader.meta.items() if name != "files"}
         meta = {**of_track, "track": file_record(reader.path), **_named_files(config)}
