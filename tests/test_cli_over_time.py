@@ -199,6 +199,19 @@ def test_what_was_killed_is_only_replaced_for_it_cannot_be_resumed(run, talk, tm
     assert (code, err.split()) == (2, f"error: {said}".split())
 
 
+@pytest.mark.parametrize(
+    ("cut", "again"),
+    [("over_time", "repeat the command"), ("write_overlay_video", "repeat the command with --overwrite")],
+)
+def test_an_interruption_says_how_to_repeat_the_command(run, talk, monkeypatch, cut, again):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"workbench.pipeline.runs.{cut}", interrupted)
+    code, _, err = run("infill", "talk", "--method", "linear", "--out", "new")
+    assert (code, err.strip()) == (130, f"interrupted: the new track was not written; {again}")
+
+
 def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, head, config, tmp_path):
     track(clip / "points.csv", tmp_path / "points", head, config, pictures=False)
     code, _, err = run("infill", "points", *QUICK)

@@ -382,6 +382,25 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     assert as_told.exit_code == 0, as_told.output
 
 
+@pytest.mark.parametrize(
+    ("cut", "kept", "said"),
+    [
+        ("observed", False, "nothing was tuned yet"),
+        ("tuned", False, "nothing was tuned yet"),
+        ("tuned", True, "what was tuned so far is kept; --resume goes on with it"),
+    ],
+)
+def test_an_interruption_before_there_is_a_best_says_what_is_kept(run, clip, tmp_path, monkeypatch, cut, kept, said):
+    def interrupted(*_):
+        if kept:
+            (tmp_path / "found.study.log").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"workbench.learning.{cut}", interrupted)
+    code, _, err = run("tune", str(clip), "--objective", "jitter", "--search", AXIS, "--out", "found.toml")
+    assert (code, err.strip()) == (130, f"interrupted: {said}")
+
+
 def test_a_session_that_searches_without_a_place_is_told_the_option_that_it_has(session):
     with pytest.raises(ConfigError, match="place=") as refused:
         session.tune("error", search=[AXIS], **PARTS)

@@ -166,16 +166,17 @@ def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, vi
     home = stored.parent if stored.parent.name not in ("", "..") else stored.resolve().parent
     folder = out or home.with_name(f"{home.name}-{name}")
     workbench.pipeline.check_inputs_kept(folder, [] if model_path is None else [model_path])
+    clips = named_views(view or [])
     with screen.progress_bar() as progress:
-        result = workbench.pipeline.retrack(
-            stored,
-            folder,
-            model,
-            config,
-            steps,
-            views=named_views(view or []),
-            progress=progress,
-            **options,
-        )
+        try:
+            result = workbench.pipeline.retrack(
+                stored, folder, model, config, steps, views=clips, progress=progress, **options
+            )
+        except KeyboardInterrupt:
+            # Its tables may be there, when it was cut while its film was drawn.
+            begun = any((folder / written).exists() for written in workbench.pipeline.OUTPUTS)
+            again = "repeat the command with --overwrite" if begun else "repeat the command"
+            screen.errors.print(f"[yellow]interrupted[/yellow]: the new track was not written; {again}")
+            raise typer.Exit(130) from None
     print_result(result)
     return result

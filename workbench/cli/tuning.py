@@ -1,5 +1,7 @@
 """`workbench tune`."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -86,7 +88,8 @@ def tune(
         rig=rig,
     )
     sweeps.check_sources([source], sums.names)
-    seen = learning.observed(source, base, head)
+    with _telling_interruptions(path):
+        seen = learning.observed(source, base, head)
     wanted = learning.Wanted(
         objectives=sums,
         parts=learning.parts_of_clip(len(seen.observations), *parts),
@@ -95,7 +98,7 @@ def tune(
         steps=steps,
         trials=trials,
     )
-    with screen.progress_bar("steps/s") as progress:
+    with _telling_interruptions(path), screen.progress_bar("steps/s") as progress:
 
         def tell(what: str, done: int, total: int, value: float, watched: float | None) -> None:
             progress(what, done, total, f"{value if watched is None else watched:.4g}")
@@ -103,6 +106,18 @@ def tune(
         found = learning.tuned(head, base, seen, wanted, tell, path, resume, learning.inputs_of(source))
     write_config(found.config, path)
     _print(found, path, bool(learn))
+
+
+@contextmanager
+def _telling_interruptions(path: Path) -> Iterator[None]:
+    """Say what is left of a tuning that is interrupted where there is no best to write yet, and end the command."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        begun = any(stored.exists() for stored in workbench.learning.kept_beside(path))
+        kept = "what was tuned so far is kept; --resume goes on with it"
+        screen.errors.print(f"[yellow]interrupted[/yellow]: {kept if begun else 'nothing was tuned yet'}")
+        raise typer.Exit(130) from None
 
 
 def _print(found, path: Path, learns: bool) -> None:
