@@ -18,7 +18,7 @@ from tests.stereo_scenes import make_rig
 from tests.test_pipeline import NoFaces
 from workbench.cli.training import training_folder
 from workbench.config import preset
-from workbench.errors import OutputError
+from workbench.errors import InputError, OutputError
 from workbench.export import FORMATS, export_track
 from workbench.files import atomic_path
 from workbench.frames import VideoWriter, write_picture
@@ -541,8 +541,8 @@ class TestPicturesOfStills:
     def stills(self, quick, points, monkeypatch):
         monkeypatch.setattr("workbench.pipeline.still_pictures.OverlayPictures", PicturesOfPaper)
 
-        def run(folder, **options):
-            return track(points, folder, StubModel(), preset("calibrated"), stills=True, **options)
+        def run(folder, photos=points, **options):
+            return track(photos, folder, StubModel(), preset("calibrated"), stills=True, **options)
 
         return run
 
@@ -554,6 +554,27 @@ class TestPicturesOfStills:
         assert [path.name for path in drawn] == [f"{index:04d}-points-{index}.jpg" for index in range(FRAMES)]
         assert [path.read_text() for path in drawn] == [f"{index} (480, 640, 3)" for index in range(FRAMES)]
         assert set(drawn) < set(result.files)
+
+    @pytest.mark.parametrize("other", [False, True])
+    def test_a_photo_that_cannot_be_read_leaves_no_pictures_of_the_others(self, stills, points, tmp_path, other):
+        photos, drawn = tmp_path / "photos", tmp_path / "out" / "overlay"
+        for index in range(FRAMES):
+            write_picture(photos / f"{index}.png", np.zeros((480, 640, 3), np.uint8))
+        (photos / "3.png").write_bytes(b"no picture")
+        if other:
+            drawn.mkdir(parents=True)
+            (drawn / "mine.jpg").write_text("of the user")
+        seen = []
+        with pytest.raises(InputError, match=r"3\.png does not contain a readable picture: .*; remove or replace it"):
+            stills(
+                tmp_path / "out",
+                photos=photos,
+                landmarks=points,
+                progress=lambda *_: seen.append(len(list(drawn.glob("*")))),
+            )
+        assert seen[-1] == 2 + other  # one is being drawn
+        assert [path.name for path in tmp_path.glob("out/**/*") if path.is_file()] == ["mine.jpg"] * other
+        assert (tmp_path / "out").exists() == other
 
     @pytest.mark.parametrize("lost", [False, True])
     def test_an_interrupted_run_draws_only_what_is_missing(self, stills, tmp_path, lost):

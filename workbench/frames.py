@@ -184,7 +184,8 @@ def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
         raise InputError(f"{name} has floating-point pixels, expected 8 or 16 bits: convert it to one of these")
     if picture is None:
         raise InputError(
-            f"{name} does not contain a readable picture: it may be damaged, or another kind of file renamed"
+            f"{name} does not contain a readable picture: it may be damaged, or another kind of file renamed; "
+            "remove or replace it"
         )
     return picture
 

@@ -241,6 +241,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
         except InputError:
             if not len(writer):
                 writer.discard()
+                if drawn is not None:
+                    drawn.discard()
             raise
         if drawn is not None:
             files, told = drawn.files(len(writer)), drawn.notes()

@@ -1,6 +1,7 @@
 """The pictures of a run on unrelated photos, each drawn as soon as it is fitted."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -22,6 +23,7 @@ class StillPictures:
     ) -> None:
         self._source, self._names, self._folder = source, names, folder
         self._pictures = OverlayPictures(model, dressed=dressed)
+        self._made: set[Path] = set()
 
     def add(self, observation: FrameObservation, fit: FrameFit) -> None:
         """Draw a still that was just fitted."""
@@ -43,6 +45,13 @@ class StillPictures:
         paths = map(self._path, range(count))
         return tuple(path for path in paths if path.exists())
 
+    def discard(self) -> None:
+        """Remove the pictures that were drawn, and their folder where nothing else is in it."""
+        for path in self._made:
+            path.unlink(missing_ok=True)
+        with suppress(OSError):  # not empty, or never made
+            (self._folder / "overlay").rmdir()
+
     def notes(self) -> list[str]:
         """What a user should know about them."""
         return [self._pictures.note] if self._pictures.note else []
@@ -50,7 +59,9 @@ class StillPictures:
     def _draw(self, fit: FrameFit, picture: UInt8[np.ndarray, "h w 3"] | None) -> None:
         picture = self._picture(fit) if picture is None else picture
         if picture is not None:
-            self._pictures.add(self._path(fit.index), picture, fit)
+            path = self._path(fit.index)
+            self._pictures.add(path, picture, fit)
+            self._made.add(path)
 
     def _picture(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"] | None:
         if not self._source.views:
