@@ -77,6 +77,13 @@ def test_a_tuning_goes_on_only_with_the_same_rig(head, frames, config, rig):
     assert key_of(config, clip, head, error) != before
 
 
+def test_a_tuning_goes_on_with_a_rig_under_any_name_of_its_file(head, frames, config, rig, monkeypatch):
+    monkeypatch.chdir(rig.parent)
+    same = config.changed(camera={"rig": rig.name})
+    clip, error = SweptClip("clip", "digest", frames, False), read_sum("error")
+    assert key_of(same, clip, head, error) == key_of(config, clip, head, error)
+
+
 def test_a_solver_calibrates_anew_with_an_edited_rig(head, frames, config, rig):
     clip, solver = SweptClip("clip", "digest", frames, False), ClipSolver(head)
     solver.fits([config], clip, clip.shots)

@@ -188,7 +188,7 @@ class ShotReference:
         In squared percent of the outer-eye distance; differences of ten and more are significant. Half and twice the
         focal length are tried; if one of these is best, also the values on both sides of it, to bracket the minimum.
         """
-        if not self.knows_person or len(self._model.identity_deltas) == 0:
+        if not self.knows_person or not self._model.has_identities:
             return None
         costs = {factor: self._focal_cost(factor) for factor in (0.5, 1.0, 2.0)}
         best = min(costs, key=costs.get)

@@ -101,6 +101,11 @@ class FaceModel:
         """What the landmarks are called."""
         return scheme_of_count(len(self.landmarks.vertices))
 
+    @property
+    def has_identities(self) -> bool:
+        """Whether the face comes in other shapes than its own: whether there is an identity to calibrate."""
+        return len(self.identity_deltas) > 0
+
     def in_regions(self, names: Iterable[str]) -> Bool[np.ndarray, "v"]:
         """Which vertices lie in one of these regions, as far as the model has them."""
         inside = np.zeros(len(self.neutral), bool)

@@ -2,14 +2,13 @@
 
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 from workbench.config import Config
 from workbench.face import FaceModel
 from workbench.objectives import WeightedSum
-from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
+from workbench.sweeps.results import settings_read
 
 ANEW = "begin anew by --overwrite in place of --resume (in a session, without resume=True)"
 """The advice in errors about a stored search or learning that does not fit what is asked for."""
@@ -18,12 +17,10 @@ ANEW = "begin anew by --overwrite in place of --resume (in a session, without re
 def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: WeightedSum, **more: Any) -> str:
     """SHA-256 of all that a search or a learning goes on from; `more`, plain values, is what they differ in."""
     read = {
-        "config": config.model_dump(mode="json", exclude={"provenance"}),
+        "config": settings_read(config, {"provenance"}),
         "clip": clip.digest,
         "model": model.fingerprint(),
         "objectives": dict(objectives.factors),
         **more,
     }
-    if config.camera.rig:
-        read["rig"] = content_hash(Path(config.camera.rig))
     return hashlib.sha256(json.dumps(read).encode()).hexdigest()

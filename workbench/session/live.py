@@ -306,11 +306,11 @@ def _identity_from(
 
 def _calibrates(model: FaceModel, config: Config) -> bool:
     """Whether an identity is calibrated: the settings ask for it, and the model has an identity basis."""
-    return config.identity.calibrate and len(model.identity_deltas) > 0
+    return config.identity.calibrate and model.has_identities
 
 
 def _check_calibrates(model: FaceModel, config: Config) -> None:
-    if len(model.identity_deltas) == 0:
+    if not model.has_identities:
         raise InputError(
             f"{model.name} has no identity basis, so a neutral face changes nothing; choose a model with one, such as "
             "the default head."

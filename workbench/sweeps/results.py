@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,15 +23,20 @@ UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "fl
 """Sections that no fit of a sweep depends on."""
 
 
+def settings_read(config: Config, unread: set[str]) -> dict[str, Any]:
+    """A configuration without some sections, for keys: in place of the rig's path what its file holds."""
+    settings = config.model_dump(mode="json", exclude=unread)
+    settings["camera"]["rig"] = content_hash(Path(config.camera.rig)) if config.camera.rig else ""
+    return settings
+
+
 def result_key(config: Config, digest: str, windows: Sequence[range], objectives: Sequence[str], model: str) -> str:
     """SHA-256 of configuration, input and version: equal keys mean equal numbers.
 
     The order of the weights counts, and what the rig's file holds, wherever that is.
     """
-    settings = config.model_dump(mode="json", exclude=UNREAD)
-    settings["camera"]["rig"] = content_hash(Path(config.camera.rig)) if config.camera.rig else ""
     read = {
-        "config": settings,
+        "config": settings_read(config, UNREAD),
         "clip": digest,
         "windows": [[window.start, window.stop] for window in windows],
         "objectives": list(objectives),

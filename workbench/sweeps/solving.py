@@ -187,7 +187,7 @@ class ClipSolver:
         """The identity of a shot, from landmarks that are not hidden in all frames."""
         config, plan, solved = setting.config, setting.plan, self._solved(clip.scheme)
         nothing = Calibrated(np.zeros(len(solved.model.identity_deltas)), {})
-        if not (plan.identity.calibrate and len(nothing.identity)):
+        if not (plan.identity.calibrate and solved.model.has_identities):
             return nothing
         hidden = mask.all(0) & ~mask.all()
         window = calibration_window(

@@ -80,7 +80,7 @@ class FaceItFitter(Fitter):
     @property
     def calibrates(self) -> bool:
         """Whether a shot is calibrated before its frames are fitted; without an identity basis nothing is."""
-        return self.plan.identity.calibrate and len(self.model.identity_deltas) > 0
+        return self.plan.identity.calibrate and self.model.has_identities
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""
@@ -94,7 +94,7 @@ class FaceItFitter(Fitter):
         Of a model without an identity basis its only one. Raises `InputError` if none has landmarks.
         """
         chosen = self.calibration_frames(observations, frames)
-        if len(self.model.identity_deltas) == 0:
+        if not self.model.has_identities:
             return Calibrated(self.mean_identity(), {})
         result = self._calibrate_on(chosen, [self._initial_pose(observation) for observation in chosen], frames)
         # On the host: JAX would compile a small program for every array that it takes a row of.
