@@ -297,21 +297,23 @@ def test_a_moving_border_changes_coverage_by_its_length():
     assert np.asarray(reverse) == pytest.approx(np.full(3, 6.0), abs=1e-3)
 
 
+def covered(corners, fine=96):
+    """Share of each pixel of the flat camera that lies inside a convex polygon, by a grid of points in each."""
+    x, y = (np.arange(size * fine) / fine + 0.5 / fine - 0.5 for size in (16, 12))
+    points = np.stack(np.meshgrid(x, y), axis=-1) - (7.5, 5.5)
+    along = np.roll(corners, -1, axis=0) - corners
+    away = points[..., None, :] - corners
+    side = along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0]
+    inside = (side > 0).all(axis=-1) | (side < 0).all(axis=-1)
+    return inside.reshape(12, fine, 16, fine).mean(axis=(1, 3))
+
+
 def test_slanted_borders_move_by_the_exact_share():
     """Coverage of every pixel along slanted borders against central differences of a fine grid of points."""
     slanted = np.array([[-5.0, -4.0, 10.0], [-3.0, 4.0, 10.0], [4.0, 3.0, 10.0], [3.0, -4.5, 10.0]])
-    vertices, way = np.concatenate([slanted, ASIDE]), np.tile([0.8, 0.6, 0.0], (8, 1))
-    grid = jnp.asarray((np.arange(24) + 0.5) / 24 - 0.5)
-
-    @jax.jit
-    def fine(vertices):
-        def at(offset):
-            return flat(vertices - jnp.append(offset, 0.0), antialias=False).coverage
-
-        return jax.lax.map(at, jnp.stack(jnp.meshgrid(grid, grid), axis=-1).reshape(-1, 2)).mean(axis=0)
-
-    step = 0.05
-    reference = (np.asarray(fine(vertices + step * way)) - np.asarray(fine(vertices - step * way))) / (2 * step)
+    vertices, way, step = np.concatenate([slanted, ASIDE]), np.tile([0.8, 0.6, 0.0], (8, 1)), 0.05
+    ahead, behind = (covered((slanted + sign * step * way[:4])[:, :2]) for sign in (1.0, -1.0))
+    reference = (ahead - behind) / (2 * step)
     _, forward, _ = flat_motion(vertices, way)
     derivative = forward[..., 3]
     assert (derivative * reference).sum() > 0.995 * np.linalg.norm(derivative) * np.linalg.norm(reference)
