@@ -1,6 +1,7 @@
 """The tuning session without a screen: history, fits equal to the command line's, landmarks, export."""
 
 import shlex
+import shutil
 import threading
 from dataclasses import replace
 
@@ -13,12 +14,14 @@ from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
 from workbench.config import PRESETS, Stage, preset, read_config
 from workbench.errors import ConfigError, InputError
-from workbench.frames import read_picture, write_picture
+from workbench.export.sources import pictures_of
+from workbench.frames import open_frames, read_picture, write_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline import track as run_track
 from workbench.planning import plan_of
+from workbench.reading import content_hash
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session, readiness
 from workbench.session.exports import free_file, track_command
@@ -457,6 +460,40 @@ def test_other_pictures_in_the_place_of_the_tracked_ones_are_not_tuned_on(head, 
     assert performance_track(session).meta["inputs"] == []
 
 
+@pytest.fixture
+def photo_session(head, tmp_path):
+    """A session on a copy of the portrait, `face.png`."""
+    shutil.copy(sample("astronaut"), tmp_path / "face.png")
+    return open_session(tmp_path / "face.png", landmarks=sample("astronaut-landmarks"), model=head, config=QUICK)
+
+
+@pytest.mark.parametrize("replaced", [True, False])
+def test_settings_and_performances_name_the_pictures_that_were_opened(photo_session, tmp_path, replaced):
+    photo = tmp_path / "face.png"
+    opened = content_hash(photo)
+    if replaced:
+        write_picture(photo, np.zeros((512, 512, 3), np.uint8))
+    else:
+        photo.unlink()
+    track = performance_track(photo_session)
+    assert photo_session.material.sources() == [f"{photo} sha256:{opened}"]
+    assert track.meta["inputs"] == [{"path": str(photo), "sha256": opened}]
+    with pytest.raises(InputError, match="The pictures of this track are no longer at"):
+        pictures_of(track)
+
+
+def test_a_picture_that_could_not_be_read_for_a_while_is_shown_when_it_is_back(tmp_path):
+    for k in range(4):
+        write_picture(tmp_path / f"{k}.png", np.full((8, 8, 3), 10 * k, np.uint8))
+    store = PictureStore(open_frames(tmp_path), [(8, 8)] * 4)
+    (tmp_path / "1.png").rename(tmp_path / "away")
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"1\.png does not exist"):
+            store[1]
+    (tmp_path / "away").rename(tmp_path / "1.png")
+    assert [int(store[k].mean()) for k in (1, 2, 3)] == [10, 20, 30]
+
+
 def test_the_command_asks_for_the_clip_of_another_camera_that_is_gone(head, tmp_path):
     track = run_track(sample("astronaut-landmarks"), tmp_path, head, QUICK, pictures=False).track
     gone = {"path": "/gone/side.mp4", "sha256": "0"}
@@ -614,7 +651,7 @@ def test_the_exported_file_says_where_it_comes_from(session, tmp_path):
 
 
 def test_an_export_leaves_a_file_that_it_did_not_write(session, head, clip, tmp_path):
-    other = TuningSession(head, replace(clip, name="other", inputs=(_short_clip(tmp_path),)), QUICK)
+    other = TuningSession(head, replace(clip, name="other", inputs=(_short_clip(tmp_path),), hashes=None), QUICK)
     path = other.export(tmp_path / "tuned.toml")
     before = path.read_bytes()
     with pytest.raises(

@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -69,8 +69,12 @@ class PictureStore:
         if self._stream is None or not 0 <= index - self._next < FORWARD_FRAMES:
             self._stream, self._next = self._frames.iterate(index), index
         frame: Frame | None = None
-        for _ in range(index - self._next + 1):
-            frame = next(self._stream, None)
+        try:
+            for _ in range(index - self._next + 1):
+                frame = next(self._stream, None)
+        except BaseException:
+            self._stream = None  # it has ended with its error, but the picture may come back
+            raise
         self._next = index + 1
         return self._blank(index) if frame is None else frame.picture
 
@@ -106,6 +110,12 @@ class Material:
     """Frames per second of the pictures that a stored run was tracked on, which may be gone."""
     network: str | None = None
     """`deep.network` of a stored run of Deep Energies, whose landmarks are this network's answers; else None."""
+    hashes: Mapping[Path, str] | None = None
+    """SHA-256 of the inputs, the landmark file and the views as they were opened; None: as they are now."""
+
+    def __post_init__(self) -> None:
+        if self.hashes is None:
+            object.__setattr__(self, "hashes", hashes_of([*self.inputs, *self.views.values(), self.landmark_file]))
 
     @property
     def rate(self) -> float | None:
@@ -130,13 +140,18 @@ class Material:
             raise InputError(f"There is no frame {frame}; {self.name} has frames 0 to {count - 1}.")
 
     def sources(self) -> list[str]:
-        """Path and SHA-256 of each input that is a file."""
-        return [f"{path} sha256:{content_hash(path)}" for path in self.inputs if path.exists()]
+        """Path and SHA-256 of each input, as it was opened."""
+        return [f"{path} sha256:{self.hashes[path]}" for path in self.inputs if path in self.hashes]
 
     def landmark_source(self) -> str:
         """Path and SHA-256 of the landmark file; empty if the landmarks came from a detector."""
         path = self.landmark_file
-        return f"{path} sha256:{content_hash(path)}" if path is not None and path.exists() else ""
+        return f"{path} sha256:{self.hashes[path]}" if path in self.hashes else ""
+
+
+def hashes_of(paths: Iterable[Path | None]) -> dict[Path, str]:
+    """SHA-256 of what these files and folders hold now, of those that exist."""
+    return {path: content_hash(path) for path in paths if path is not None and path.exists()}
 
 
 Progress = Callable[[str, int, int | None], None]
@@ -159,7 +174,9 @@ def load_material(
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to tune on; give a photo, a folder, a video or a landmark file.")
-    source = open_source(paths, config, None if landmarks is None else Path(landmarks))
+    file = None if landmarks is None else Path(landmarks)
+    source = open_source(paths, config, file)
+    hashes = hashes_of([*paths, file])
     stills = stills or source.single_picture
     found = []
     for observation in source.observations(0, {}, stills):
@@ -172,9 +189,8 @@ def load_material(
         raise InputError(f"{paths[0]} contains no frame to tune on; check that it plays.")
     frames = None if is_landmark_file(paths[0]) else source.frames
     sizes = [observation.image_size for observation in found]
-    file = None if landmarks is None else Path(landmarks)
-    name = source.frames.name
-    return Material(name, tuple(found), PictureStore(frames, sizes), stills, tuple(paths), file)
+    name, store = source.frames.name, PictureStore(frames, sizes)
+    return Material(name, tuple(found), store, stills, tuple(paths), file, hashes=hashes)
 
 
 def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:

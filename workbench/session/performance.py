@@ -12,7 +12,6 @@ from workbench.session.material import Cancelled, Progress
 from workbench.session.tuning import TuningSession
 from workbench.tracking import Track
 from workbench.tracking.records import stack_fits
-from workbench.tracking.track_layout import file_record
 from workbench.tracking.unwatched import never
 
 
@@ -26,11 +25,12 @@ def performance_track(
         return None
     run = Run(config, Track(meta={}, **stack_fits(list(fits))), ())
     track = described_track(run, session.model, material.stills)
-    file, views = material.landmark_file, {name: path for name, path in material.views.items() if path.exists()}
+    opened = {path: {"path": str(path.absolute()), "sha256": digest} for path, digest in material.hashes.items()}
+    views = {name: path for name, path in material.views.items() if path in opened}
     meta = {
-        "inputs": [file_record(path) for path in (*material.inputs, *views.values()) if path.exists()],
+        "inputs": [opened[path] for path in (*material.inputs, *views.values()) if path in opened],
         "views": {name: str(path.absolute()) for name, path in views.items()},
-        "landmarks": None if file is None or not file.exists() else file_record(file),
+        "landmarks": opened.get(material.landmark_file),
         "frames": None if material.part is None else list(material.part),
         "rate": material.rate,
         "versions": software_versions(),
