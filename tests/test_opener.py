@@ -1,5 +1,6 @@
 """The chooser of material: samples, paths, errors in one sentence, one panel at a time."""
 
+import shutil
 import threading
 from datetime import UTC, datetime
 
@@ -97,6 +98,15 @@ def test_a_path_may_be_pasted_with_quotes_and_blanks(opener, landmark_file):
     opener.open_button.click()
     opener.wait_idle()
     assert opener.session.material.inputs == (landmark_file,)
+
+
+def test_a_path_may_end_in_an_apostrophe(opener, tmp_path):
+    folder = tmp_path / "the kids'"
+    folder.mkdir()
+    shutil.copy(sample("astronaut"), folder)
+    opener.open_path(folder, sample("astronaut-landmarks"))
+    opener.wait_idle()
+    assert opener.session.material.name == "the kids'"
 
 
 def test_a_picture_opens_with_its_landmark_file(opener):
@@ -245,6 +255,15 @@ def test_the_same_file_may_be_sent_again():
     for _ in range(2):
         made.set_state({"value": [sent("face.png", b"abc") | {"last_modified": 1_700_000_000_000}]})
     assert [path.name for path in opened] == ["face.png", "face.png"]
+    made.close()
+
+
+def test_a_file_sent_under_the_name_of_an_earlier_one_leaves_that_as_it_was():
+    opened = []
+    made = Upload(opened.append, pytest.fail)
+    for content in (b"first", b"second"):
+        made.value = (sent("face.png", content),)
+    assert [(path.name, path.read_bytes()) for path in opened] == [("face.png", b"first"), ("face.png", b"second")]
     made.close()
 
 

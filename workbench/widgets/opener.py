@@ -156,8 +156,10 @@ class SessionOpener(widgets.VBox):
 
 
 def _path(text: str | Path) -> Path:
-    """A path as users paste it: possibly with quotes, surrounding blanks or ~."""
-    return Path(str(text).strip().strip("'\"")).expanduser()
+    """A path as users paste it: possibly with a pair of quotes, surrounding blanks or ~."""
+    typed = str(text).strip()
+    quoted = len(typed) > 1 and typed[0] == typed[-1] and typed[0] in "'\""
+    return Path(typed[1:-1] if quoted else typed).expanduser()
 
 
 def _row(children: list[widgets.Widget]) -> widgets.HBox:

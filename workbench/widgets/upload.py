@@ -48,15 +48,19 @@ class Upload(widgets.FileUpload):
 
 
 def stored(folder: Path, name: str, content: bytes) -> Path:
-    """A file that was sent, in a folder. Raises `InputError` for what cannot be opened or is too large."""
-    path = folder / Path(name.replace("\\", "/")).name
-    if path.suffix.lower() not in ACCEPTED:
-        raise InputError(f"{path.name} is not a picture, a video or a landmark file; send one of those.")
+    """A file that was sent, in a new folder inside of `folder`: an earlier one of its name may be open.
+
+    Raises `InputError` for what cannot be opened or is too large.
+    """
+    name = Path(name.replace("\\", "/")).name
+    if Path(name).suffix.lower() not in ACCEPTED:
+        raise InputError(f"{name} is not a picture, a video or a landmark file; send one of those.")
     if len(content) > LARGEST_MB * 1e6:
         megabytes = len(content) / 1e6
         raise InputError(
-            f"{path.name} is {megabytes:.0f} MB; uploads are limited to {LARGEST_MB} MB. Open it by its path instead."
+            f"{name} is {megabytes:.0f} MB; uploads are limited to {LARGEST_MB} MB. Open it by its path instead."
         )
+    path = Path(tempfile.mkdtemp(dir=folder)) / name
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
     return path
