@@ -116,11 +116,12 @@ def test_a_picture_opens_with_its_landmark_file(opener):
     assert opener.session.material.pictures.real
 
 
-def test_a_stored_track_opens_with_its_configuration(opener, landmark_file, tmp_path):
+@pytest.mark.parametrize("name", ["track.npz", ""], ids=["file", "folder"])
+def test_a_stored_track_opens_with_its_configuration(opener, landmark_file, tmp_path, name):
     tuned = preset("calibrated").changed(weights={"tau": 7.0})
     session = open_session(landmark_file, tuned)
     session.fit_clip().save(tmp_path / "track.npz")
-    opener.open_path(tmp_path / "track.npz")
+    opener.open_path(tmp_path / name)
     opener.wait_idle()
     assert opener.session.config.weights.tau == 7.0
     np.testing.assert_array_equal(

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.other_heads import resized
 from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
-from workbench.config import PRESETS, Stage, preset, read_config
+from workbench.config import PRESETS, Stage, preset, read_config, write_config
 from workbench.errors import ConfigError, InputError
 from workbench.export.sources import pictures_of
 from workbench.frames import open_frames, read_picture, write_picture
@@ -35,6 +36,7 @@ from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.tracking.records import ARRAYS, stack_fits
+from workbench.tracking.track_layout import model_record
 
 QUICK = preset("calibrated").changed(identity={"window": 6, "frames": 12})
 
@@ -440,6 +442,42 @@ def test_a_track_is_tuned_on_as_the_input_that_it_came_from(head, tmp_path):
     assert session.config == QUICK
     assert session.material.pictures.real
     assert same(session.fit_frame(0), result.track[0])
+
+
+@pytest.fixture(scope="module")
+def track(head, photo):
+    return TuningSession(head, photo, QUICK).track
+
+
+@pytest.fixture
+def resized_track(track, head):
+    """A track of another model than the default head."""
+    return replace(track, meta=track.meta | {"model": model_record(resized(head, 1.3))})
+
+
+def test_the_folder_of_a_run_is_tuned_on_as_its_track(track, tmp_path):
+    track.save(tmp_path / "track.npz")
+    assert open_session(tmp_path).config == QUICK
+
+
+def test_a_track_of_another_model_is_not_opened_on_the_default_head(resized_track):
+    with pytest.raises(InputError, match=r"fitted with the model resized; .* model=load_face_model\(FILE\)"):
+        open_session(resized_track)
+
+
+def test_a_track_of_another_model_opens_with_that_one(resized_track, head):
+    assert open_session(resized_track, model=resized(head, 1.3)).model.name == "resized"
+
+
+def test_a_track_that_names_no_model_opens_on_the_default_head(track):
+    meta = {name: value for name, value in track.meta.items() if name != "model"}
+    assert open_session(replace(track, meta=meta)).model.name == "default-head"
+
+
+def test_a_file_of_settings_is_told_as_such(tmp_path):
+    write_config(QUICK, tmp_path / "tuned.toml")
+    with pytest.raises(InputError, match=r"tuned.toml holds settings .* session.use\(read_config\(FILE\)\)"):
+        open_session(tmp_path / "tuned.toml")
 
 
 def test_a_track_whose_pictures_are_gone_is_tuned_on_a_blank_canvas(head, tmp_path):

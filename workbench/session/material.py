@@ -1,5 +1,6 @@
 """The material for tuning: the landmarks of every frame, and its pictures, decoded on demand."""
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -158,6 +159,14 @@ Progress = Callable[[str, int, int | None], None]
 Cancelled = Callable[[], bool]
 
 
+def stored_track(path: str | Path) -> Path | None:
+    """The file of the track that a path names, itself or by its run's folder; None where it names none."""
+    path = Path(path)
+    if path.suffix.lower() == ".npz":
+        return path
+    return path / "track.npz" if os.path.isfile(path / "track.npz") else None
+
+
 def load_material(
     inputs: str | Path | Sequence[str | Path],
     config: Config,
@@ -174,6 +183,11 @@ def load_material(
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to tune on; give a photo, a folder, a video or a landmark file.")
+    if paths[0].suffix.lower() == ".toml" and os.path.isfile(paths[0]):
+        raise InputError(
+            f"{paths[0]} holds settings and no frames; open a photo or clip and load them with session.use(read_config"
+            "(FILE)), or open a run that `workbench track --config` made with them."
+        )
     file = None if landmarks is None else Path(landmarks)
     source = open_source(paths, config, file)
     hashes = hashes_of([*paths, file])

@@ -1,6 +1,8 @@
 """The material of a stored run."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
@@ -54,6 +56,16 @@ def material_of_track(track: Track) -> Material:
         track.meta.get("rate"),
         config.deep.network if config is not None and config.traits.renders else None,
     )
+
+
+def check_default_head(meta: Mapping[str, Any]) -> None:
+    """Raise `InputError` for the metadata of a track of another model; older tracks do not name theirs and pass."""
+    name = (meta.get("model") or {}).get("name", "default-head")
+    if name != "default-head":
+        raise InputError(
+            f"This track was fitted with the model {name}; open it from code with that one, as open_session(track, "
+            "model=load_face_model(FILE)), or with model=load_default_head() to fit the default head to its landmarks."
+        )
 
 
 def _moved(config: Config | None) -> frozenset[tuple[int, int]]:

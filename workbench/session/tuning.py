@@ -14,7 +14,7 @@ from workbench.errors import InputError
 from workbench.session.gesture import Gesture
 from workbench.session.history import Step
 from workbench.session.landmark_edits import check_movable, moved, put_back, weighed, with_subset
-from workbench.session.material import Cancelled, Material, Progress, load_material
+from workbench.session.material import Cancelled, Material, Progress, load_material, stored_track
 from workbench.session.tuned_config import TunedConfig, snapshot_title
 from workbench.tracking import FrameObservation
 from workbench.tracking.unwatched import never
@@ -337,16 +337,23 @@ def open_session(
     progress: Progress | None = None,
     seen: Callable[[FrameObservation], None] | None = None,
 ) -> TuningSession:
-    """A session on a photo, photos, a clip, a landmark file, a `Track`, or a `Material`.
+    """A session on a photo, photos, a clip, a landmark file, a run's folder, a `Track` or its file, or a `Material`.
 
     `config` is a configuration or the name of a preset; a track has its own. `progress` and `seen` are as for
-    `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read.
+    `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read, and `InputError` for a track
+    of another model than the default head without `model`.
     """
     if isinstance(config, str):
         config = preset(config)
     if isinstance(inputs, Material):
         return TuningSession(model, inputs, config)
+    if isinstance(inputs, str | Path) and (stored := stored_track(inputs)) is not None:
+        inputs = workbench.tracking.Track.load(stored)
     if isinstance(inputs, str | Path | Sequence):
         config = config or preset(DEFAULT_PRESET)
         return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)
-    return TuningSession(model, workbench.session.material_of_track(inputs), config or config_of_track(inputs.meta))
+    from workbench.session.stored_material import check_default_head, material_of_track  # here: clips do without it
+
+    if model is None:
+        check_default_head(inputs.meta)
+    return TuningSession(model, material_of_track(inputs), config or config_of_track(inputs.meta))

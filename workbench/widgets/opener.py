@@ -12,7 +12,7 @@ from workbench.config import DEFAULT_PRESET, Config, preset
 from workbench.landmarks.files import SUFFIXES
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
-from workbench.tracking import Track
+from workbench.session.material import stored_track
 from workbench.widgets.controls import small_button
 from workbench.widgets.detection_preview import DetectionPreview
 from workbench.widgets.latest import LatestWins
@@ -21,7 +21,10 @@ from workbench.widgets.tuning_panel import TuningPanel
 from workbench.widgets.upload import Upload
 
 PATH_HINT = "photo, clip, folder, track or landmark file"
-PATH_TIP = f"a file or folder on the computer where Python runs; tracks are .npz files, landmarks {', '.join(SUFFIXES)}"
+PATH_TIP = (
+    "a file or folder on the computer where Python runs; tracks are .npz files or folders of runs, landmarks "
+    f"{', '.join(SUFFIXES)}"
+)
 
 
 @dataclass(frozen=True)
@@ -125,9 +128,8 @@ class SessionOpener(widgets.VBox):
         self._say(f"{session.material.name}: {len(session)} frame{'s' if len(session) > 1 else ''}.")
 
     def _session_of(self, wanted: Wanted) -> TuningSession:
-        if wanted.path.suffix == ".npz":
-            return open_session(Track.load(wanted.path))
-        self.preview.begin(wanted.path)
+        if stored_track(wanted.path) is None:
+            self.preview.begin(wanted.path)
         return open_session(
             wanted.path, wanted.config, landmarks=wanted.landmarks, progress=self._on_progress, seen=self.preview.see
         )
