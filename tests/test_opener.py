@@ -3,6 +3,7 @@
 import shutil
 import threading
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import cv2
 import ipywidgets as widgets
@@ -91,6 +92,105 @@ def test_a_panel_that_takes_its_time_to_close_holds_nothing_up(opener, landmark_
     assert not slow.closed.is_set()
     slow.may_close.set()
     assert slow.closed.wait(10)
+
+
+# --- what opening would lose ---
+
+
+def change_a_setting(opener):
+    opener.session.set(weights={"tau": 7.0})
+
+
+def keep_a_snapshot(opener):
+    opener.session.take_snapshot("mine")
+
+
+def begin_to_write(opener):
+    opener.panel.export_dialog = SimpleNamespace(writing=True)
+
+
+def loaded(opener):
+    """The sample portrait open in an opener."""
+    opener.open_sample("sample portrait")
+    opener.wait_idle()
+    return opener.panel
+
+
+@pytest.mark.parametrize(
+    ("work", "lost"),
+    [
+        (change_a_setting, "1 unsaved change"),
+        (keep_a_snapshot, "1 snapshot"),
+        (begin_to_write, "the file that is being written"),
+    ],
+)
+def test_what_would_be_lost_is_said_and_stays_until_it_is_opened_anyway(opener, work, lost):
+    panel = loaded(opener)
+    work(opener)
+    opener.samples["sample speech"].click()
+    opener.wait_idle()
+    assert f"would close astronaut and lose {lost}." in opener.message.value
+    assert opener.place.children == (panel,)
+    assert opener.anyway.layout.display is None
+    opener.anyway.click()
+    opener.wait_idle()
+    assert panel.closed.wait(10)
+    assert len(opener.session) == 55
+    assert opener.anyway.layout.display == "none"
+
+
+def test_everything_that_would_be_lost_is_named(opener):
+    loaded(opener)
+    for work in (change_a_setting, keep_a_snapshot, begin_to_write):
+        work(opener)
+    opener.open_sample("sample speech")
+    opener.wait_idle()
+    assert "lose 1 unsaved change, 1 snapshot and the file that is being written." in opener.message.value
+
+
+def test_who_stays_is_no_longer_asked(opener):
+    panel = loaded(opener)
+    change_a_setting(opener)
+    opener.open_sample("sample speech")
+    opener.wait_idle()
+    opener.stay.click()
+    assert opener.message.value == "<span>astronaut: 1 frame.</span>"
+    assert (opener.anyway.layout.display, opener.stay.layout.display) == ("none", "none")
+    assert opener.place.children == (panel,)
+
+
+@pytest.mark.parametrize("end", ["export", "undo"])
+def test_nothing_is_lost_once_it_is_saved_or_taken_back(opener, tmp_path, monkeypatch, end):
+    monkeypatch.setattr("workbench.session.session_work.SessionWork.export", lambda *_: True)
+    loaded(opener)
+    change_a_setting(opener)
+    opener.session.export(tmp_path / "tuned.toml") if end == "export" else opener.session.undo()
+    opener.open_sample("sample speech")
+    opener.wait_idle()
+    assert len(opener.session) == 55
+
+
+def test_work_done_while_a_clip_is_opened_is_not_lost_either_nor_is_the_clip_opened_twice(
+    opener, landmark_file, monkeypatch
+):
+    panel, opened = loaded(opener), []
+
+    def slow(path, config, landmarks, progress, seen):
+        change_a_setting(opener)
+        opened.append(path)
+        return open_session(path, config, landmarks=landmarks)
+
+    monkeypatch.setattr(opener_module, "open_session", slow)
+    opener.open_path(landmark_file)
+    opener.wait_idle()
+    assert opener.place.children == (panel,)
+    opener.anyway.click()
+    opener.wait_idle()
+    assert len(opener.session) == 3
+    assert opened == [landmark_file]
+
+
+# --- paths ---
 
 
 def test_a_path_may_be_pasted_with_quotes_and_blanks(opener, landmark_file):

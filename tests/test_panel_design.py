@@ -731,6 +731,18 @@ def test_files_and_commands_have_the_same_names_with_the_users_folder_and_the_su
         assert f" {tmp_path / file}" in dialog.performance.command.value
 
 
+@pytest.mark.parametrize("name", ["talk.csv", "talk.mp3"], ids=["written", "refused"])
+def test_an_export_is_being_written_from_its_press_to_its_end(panel, tmp_path, name):
+    jobs = []
+    dialog = ExportDialog(panel.session, jobs.append, panel.page.download)
+    dialog.performance.format.value, dialog.performance.file.value = ".csv", str(tmp_path / name)
+    writing = [dialog.writing]
+    dialog.performance.go.click()
+    writing.append(dialog.writing)
+    jobs.pop()()
+    assert [*writing, dialog.writing] == [False, True, False]
+
+
 def test_what_cannot_be_written_is_no_longer_in_progress(panel, monkeypatch):
     def denied(path, progress, *_, **__):
         progress("fitting frame", 10, 20)

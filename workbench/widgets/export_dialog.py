@@ -22,8 +22,10 @@ class ExportDialog:
     def __init__(
         self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
     ) -> None:
-        self.settings = ExportBar(session, later, download)
-        self.performance = PerformanceExport(session, later, lambda: self.settings.path, download)
+        self._later = later
+        self._unwritten: list[Callable[[], None]] = []
+        self.settings = ExportBar(session, self._submit, download)
+        self.performance = PerformanceExport(session, self._submit, lambda: self.settings.path, download)
         self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
         self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
                                  "primary")  # fmt: skip
@@ -46,6 +48,11 @@ class ExportDialog:
         ]
         self.widget = classed(widgets.VBox(rows, layout=widgets.Layout(display="none")), "fw-export")
 
+    @property
+    def writing(self) -> bool:
+        """Whether something is being written, or waits for its turn."""
+        return bool(self._unwritten)
+
     def fold(self) -> None:
         """Unfold it, or fold it away."""
         folded = self.widget.layout.display == "none"
@@ -57,3 +64,13 @@ class ExportDialog:
         """Stop what is being written."""
         self.settings.stop()
         self.performance.stop()
+
+    def _submit(self, job: Callable[[], None]) -> None:
+        def written() -> None:
+            try:
+                job()
+            finally:
+                self._unwritten.remove(job)
+
+        self._unwritten.append(job)
+        self._later(written)

@@ -3,7 +3,7 @@
 import html
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import ipywidgets as widgets
@@ -34,6 +34,10 @@ class Wanted:
     path: Path
     landmarks: Path | None = None
     config: Config | None = None
+    session: TuningSession | None = None
+    """What it opened as, where that is known."""
+    anyway: bool = False
+    """Whether what that loses is no reason to ask."""
 
 
 class _SupersededError(Exception):
@@ -54,9 +58,9 @@ def sample_choices() -> dict[str, Wanted]:
 class SessionOpener(widgets.VBox):
     """Opens a session from a sample or a path and shows `make_panel(session)` below the chooser.
 
-    Opening runs in its own thread; a newer choice cancels an older one, and the previous panel is closed. An error is
-    shown as one sentence below the chooser and leaves the open panel. `session` and `panel` are None until something
-    is open.
+    Opening runs in its own thread; a newer choice cancels an older one, and the previous panel is closed. Where that
+    would lose work, it stays until the button `anyway` is pressed. An error is shown as one sentence below the chooser
+    and leaves the open panel. `session` and `panel` are None until something is open.
     """
 
     def __init__(self, make_panel: Callable[[TuningSession], widgets.Widget] = TuningPanel) -> None:
@@ -78,9 +82,16 @@ class SessionOpener(widgets.VBox):
         self.open_button.on_click(lambda _button: self._on_open())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
         self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        self.anyway, self.stay = small_button("", "close what is open", "warning"), small_button("stay", "open nothing")
+        self.anyway.on_click(lambda _button: self._on_anyway())
+        self.stay.on_click(lambda _button: self._on_stay())
+        self._asked: Wanted | None = None
+        """What `anyway` would open."""
+        self._ask(None)
         self.preview, self.place = DetectionPreview(), widgets.VBox()
         choices = [*self.samples.values(), self.upload, self.path, self.landmarks, self.open_button]
-        super().__init__([_row(choices), _row([self.progress, self.message]), self.preview, self.place])
+        said = [self.progress, self.message, self.anyway, self.stay]
+        super().__init__([_row(choices), _row(said), self.preview, self.place])
 
     def __repr__(self) -> str:
         return f"SessionOpener({self.session!r})"
@@ -112,22 +123,55 @@ class SessionOpener(widgets.VBox):
             return
         self.open_path(self.path.value, self.landmarks.value if self.landmarks.value.strip() else None)
 
+    def _on_anyway(self) -> None:
+        if self._asked is not None:
+            self._worker.submit(replace(self._asked, anyway=True))
+
+    def _on_stay(self) -> None:
+        self._ask(None)
+        self._say_open()
+
+    def _ask(self, wanted: Wanted | None) -> None:
+        """Show the buttons that open this or do not; None hides them."""
+        self._asked = wanted
+        self.anyway.layout.display = self.stay.layout.display = "none" if wanted is None else None
+        if wanted is not None:
+            self.anyway.description = f"open {wanted.path.name} anyway"
+
     # --- in the worker's thread ---
 
     def _open(self, wanted: Wanted) -> None:
+        self._ask(None)
+        if self._loses_work(wanted):
+            return
         self._say(f"Opening {wanted.path.name} …")
         try:
             session = self._session_of(wanted)
         except _SupersededError:
+            return
+        if self._loses_work(replace(wanted, session=session)):  # done while this was opened
             return
         before, self.panel, self.session = self.panel, self._make_panel(session), session
         self.place.children = (self.panel,)
         if before is not None:
             self._closer.submit(before.close)
         self._rest()
-        self._say(f"{session.material.name}: {len(session)} frame{'s' if len(session) > 1 else ''}.")
+        self._say_open()
+
+    def _loses_work(self, wanted: Wanted) -> bool:
+        """Whether opening this would lose work unasked; if so, say what and ask."""
+        lost = [] if self.session is None or wanted.anyway else lost_work(self.session, self.panel)
+        if lost:
+            self._rest()
+            losing = " and ".join(filter(None, [", ".join(lost[:-1]), lost[-1]]))
+            name = self.session.material.name
+            self._say(f"Opening {wanted.path.name} would close {name} and lose {losing}.", wrong=True)
+            self._ask(wanted)
+        return bool(lost)
 
     def _session_of(self, wanted: Wanted) -> TuningSession:
+        if wanted.session is not None:
+            return wanted.session
         if stored_track(wanted.path) is None:
             self.preview.begin(wanted.path)
         return open_session(
@@ -152,9 +196,27 @@ class SessionOpener(widgets.VBox):
         self._rest()
         self._say(error_text(error), wrong=True)
 
+    def _say_open(self) -> None:
+        self._say(f"{self.session.material.name}: {_counted(len(self.session), 'frame')}.")
+
     def _say(self, text: str, wrong: bool = False) -> None:
         style = " role='alert' style='color:var(--jp-error-color1, #b3261e)'" if wrong else ""
         self.message.value = f"<span{style}>{html.escape(text)}</span>"
+
+
+def lost_work(session: TuningSession, panel: widgets.Widget) -> list[str]:
+    """What closing a session's panel would lose, in words."""
+    unsaved = session.unexported if session.changes() else []
+    exports = vars(panel).get("export_dialog")  # asked for by its name, a panel would make its parts now
+    return [
+        *([_counted(len(unsaved), "unsaved change")] if unsaved else []),
+        *([_counted(len(session.snapshots), "snapshot")] if session.snapshots else []),
+        *(["the file that is being written"] if exports is not None and exports.writing else []),
+    ]
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _path(text: str | Path) -> Path:
