@@ -238,6 +238,8 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
     [
         (["talk", "--to", "x.fbx"], "is exported as .glb"),
         (["talk", "--to", ".csv"], "is exported as .glb"),
+        (["talk", "--to", ".arkit.csv"], "got .arkit.csv: name the file."),
+        (["talk", "--to", ""], "got no name: name the file."),
         (["nowhere", "--to", "x.glb"], "does not exist"),
         (["talk", "--to", "x.glb", "--shot", "4"], "the shots 0 to 0"),
         (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),

@@ -25,10 +25,15 @@ SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 
 def format_of(path: str | Path) -> str:
-    """The key of `FORMATS` for a file name. Raises `InputError` for a suffix that is none of them."""
+    """The key of `FORMATS` for a file name. Raises `InputError` for another suffix, and for nothing before it."""
     name = Path(path).name.lower()
+    if name in ("", *SAME, *FORMATS):
+        raise InputError(
+            f"A track is exported as {', '.join(FORMATS)}, with a name before it such as talk.glb; "
+            f"got {name or 'no name'}: name the file."
+        )
     for suffix in (".arkit.csv", *SAME, *FORMATS):
-        if name.endswith(suffix) and len(name) > len(suffix):
+        if name.endswith(suffix):
             return SAME.get(suffix, suffix)
     raise InputError(f"A track is exported as {', '.join(FORMATS)}, got {Path(path).name}.")
 
