@@ -711,6 +711,23 @@ def test_an_export_may_follow_another_one_of_the_same_session_or_overwrite_when_
     assert read_config(tmp_path / "old.toml").weights.tau == 3.0
 
 
+def test_an_export_leaves_its_own_file_once_it_was_edited(session, tmp_path):
+    file = session.export(tmp_path / "tuned.toml")
+    edited = file.read_text(encoding="utf-8") + "# mine\n"
+    file.write_text(edited, encoding="utf-8")
+    with pytest.raises(InputError, match=r"tuned\.toml exists already"):
+        session.export(file)
+    assert file.read_text(encoding="utf-8") == edited
+
+
+def test_of_two_sessions_none_replaces_unasked_what_the_other_saved(session, head, clip, tmp_path):
+    file, other = session.export(tmp_path / "shared.toml"), TuningSession(head, clip, QUICK)
+    other.set(weights={"tau": 7.0})
+    other.export(file, overwrite=True)
+    assert not session.may_write(file)
+    assert other.may_write(file)
+
+
 def test_the_proposed_name_is_free(tmp_path):
     for name in ("clip-tuned.toml", "clip-tuned-2.toml"):
         (tmp_path / name).touch()

@@ -1,5 +1,6 @@
 """Exported configurations: their provenance, the command that runs them, and protection of existing files."""
 
+import os
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
@@ -8,22 +9,28 @@ from workbench.config import Config, differences, read_config, write_config
 from workbench.errors import InputError, WorkbenchError
 from workbench.face import FaceModel
 from workbench.pipeline import software_versions
+from workbench.reading import content_hash
 from workbench.session.material import Material
 
 
 class Exports:
-    """Writes configurations tuned on a material. Only files that it wrote itself are overwritten unasked."""
+    """Writes configurations tuned on a material. Only files that are as it wrote them are overwritten unasked."""
 
     def __init__(self, model: FaceModel, material: Material) -> None:
         self._model, self._material = model, material
-        self._written: set[Path] = set()
+        self._written: dict[Path, str] = {}
+        """The content of each file as it was written here; another program may have changed it since."""
 
     def may_write(self, path: str | Path) -> bool:
-        """Whether writing here overwrites nothing but this object's own exports."""
-        return not Path(path).exists() or Path(path).absolute() in self._written
+        """Whether writing here overwrites nothing but this object's own exports, unchanged."""
+        path = Path(path).absolute()
+        try:
+            return not os.path.exists(path) or (path in self._written and self._written[path] == content_hash(path))
+        except InputError:  # it may no longer be read
+            return False
 
     def check(self, path: Path, overwrite: bool) -> None:
-        """Raises `InputError` if the file exists, unless this object wrote it or `overwrite` is set."""
+        """Raises `InputError` if the file exists, unless it is as written here or `overwrite` is set."""
         if not overwrite and not self.may_write(path):
             raise InputError(taken_text(path, self._material.name))
 
@@ -42,7 +49,7 @@ class Exports:
             "after": after,
         }
         write_config(config.changed(provenance=provenance), path)
-        self._written.add(path.absolute())
+        self._written[path.absolute()] = content_hash(path)
 
 
 def track_command(material: Material, path: str | Path, config: Config, model: FaceModel | None = None) -> str:
