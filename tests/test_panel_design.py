@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import turning_clip
-from workbench.config import Config, differences, preset
+from workbench.config import Config, differences, preset, read_config
 from workbench.errors import InputError
 from workbench.export import export_track
 from workbench.export.suffixes import pictures_folder
@@ -657,11 +657,15 @@ def test_a_clip_that_is_fitted_says_how_long_it_takes_and_marks_the_old_result(p
 # --- export ---
 
 
+def export_of(panel, folder, later):
+    made = PerformanceExport(panel.session, later, lambda: Path("tuned.toml"), panel.page.download)
+    made.file.value = str(folder / "talk.glb")
+    return made
+
+
 @pytest.fixture
 def export(panel, tmp_path):
-    made = PerformanceExport(panel.session, lambda job: job(), lambda: Path("tuned.toml"), panel.page.download)
-    made.file.value = str(tmp_path / "talk.glb")
-    return made
+    return export_of(panel, tmp_path, lambda job: job())
 
 
 def test_the_performance_is_exported_as_the_command_line_would(export, panel, tmp_path):
@@ -691,6 +695,10 @@ def test_another_format_brings_its_suffix_and_options(export, tmp_path):
         ("talk.mp3", "A track is exported as"),
         ("talk.csv", "does not end in the chosen format"),
         ("there.glb", "exists already"),
+        ("there.glb/talk.glb", "there.glb/talk.glb cannot be written (Not a directory); a file is in the way"),
+        (f"{'x' * 300}.glb", "cannot be written (File name too long); name a shorter one."),
+        ("a\0b.glb", "cannot be written (embedded null byte); name another place."),
+        (".glb", "got .glb: name the file."),
     ],
 )
 def test_what_cannot_be_written_is_said_and_writes_nothing(export, tmp_path, name, said):
@@ -708,10 +716,108 @@ def test_a_rate_that_is_no_number_is_said(export):
     assert "Frames per second are a number such as 25" in export.said.value
 
 
+@pytest.fixture
+def queued(panel, tmp_path):
+    """An export, and the slow jobs that its clicks ask for, none of which has begun."""
+    jobs = []
+    return export_of(panel, tmp_path, jobs.append), jobs
+
+
+@pytest.mark.parametrize(("name", "fps"), [("there.glb/talk.glb", ""), ("talk.glb", "nan")])
+def test_what_cannot_be_exported_is_refused_by_the_click_and_nothing_is_fitted(queued, tmp_path, name, fps):
+    export, jobs = queued
+    (tmp_path / "there.glb").write_text("kept")
+    export.file.value, export.fps.value = str(tmp_path / name), fps
+    export.go.click()
+    assert jobs == []
+
+
+def test_each_export_is_of_the_file_and_options_at_its_click(queued, tmp_path):
+    export, jobs = queued
+    for suffix in (".csv", ".arkit.csv"):
+        export.format.value = suffix
+        export.go.click()
+    export.file.value = str(tmp_path / "later.arkit.csv")
+    for job in jobs:
+        job()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["talk.arkit.csv", "talk.csv"]
+    assert export.said.value.count("Wrote") == 2
+
+
+def test_an_export_is_of_the_settings_at_its_click(queued, panel, monkeypatch):
+    export, jobs = queued
+    asked = []
+    monkeypatch.setattr(
+        "workbench.widgets.performance_export.performance_track", lambda *arguments: asked.append(arguments[3])
+    )
+    at_click = panel.session.config
+    export.go.click()
+    panel.session.set(weights={"tau": 9.0})
+    jobs[0]()
+    assert asked == [at_click]
+
+
+def test_an_export_that_waits_says_so_and_can_be_cancelled_for_good(queued, tmp_path):
+    export, jobs = queued
+    export.go.click()
+    assert "waiting to write talk.glb" in export.said.value
+    assert export.cancel.layout.display is None
+    export.cancel.click()
+    assert "Cancelled; talk.glb was not written." in export.said.value
+    assert export.cancel.layout.display == "none"
+    export.format.value = ".csv"
+    export.go.click()
+    for job in jobs:
+        job()
+    assert [path.name for path in tmp_path.iterdir()] == ["talk.csv"]
+
+
+def test_an_export_that_is_asked_for_twice_is_written_once(queued):
+    export, jobs = queued
+    export.go.click()
+    export.go.click()
+    assert len(jobs) == 1
+
+
+def test_what_an_export_that_waited_finds_in_its_way_is_kept(queued, tmp_path):
+    export, jobs = queued
+    export.go.click()
+    (tmp_path / "talk.glb").write_text("kept")
+    jobs[0]()
+    assert "exists already" in export.said.value
+    assert (tmp_path / "talk.glb").read_text() == "kept"
+
+
+def test_settings_are_saved_as_they_are_and_where_it_was_said_at_the_click(panel, tmp_path):
+    jobs = []
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(tmp_path / "mine.toml")
+    panel.session.set(weights={"tau": 1.0})
+    bar.export.click()
+    panel.session.set(weights={"tau": 9.0})
+    bar.file.value = str(tmp_path / "next.toml")
+    jobs[0]()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+    assert read_config(tmp_path / "mine.toml").weights.tau == 1.0
+
+
+def test_settings_that_wait_to_be_saved_say_so_and_can_be_cancelled(panel, tmp_path):
+    jobs = []
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(tmp_path / "mine.toml")
+    bar.export.click()
+    assert bar.exported.value == "waiting to write mine.toml …"
+    assert bar.cancel.layout.display is None
+    bar.cancel.click()
+    assert bar.exported.value == "Cancelled; mine.toml was not written."
+    jobs[0]()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_cancelled_export_writes_nothing(export, tmp_path, monkeypatch):
-    def cancelling(*_arguments):
+    def cancelling(*arguments):
         export.cancel.click()
-        return performance_track(export._session, export._told, export._cancelled.is_set)
+        return performance_track(*arguments)
 
     monkeypatch.setattr("workbench.widgets.performance_export.performance_track", cancelling)
     export._session.set(weights={"sigma_smooth": 7.0})
@@ -731,16 +837,26 @@ def test_files_and_commands_have_the_same_names_with_the_users_folder_and_the_su
         assert f" {tmp_path / file}" in dialog.performance.command.value
 
 
-@pytest.mark.parametrize("name", ["talk.csv", "talk.mp3"], ids=["written", "refused"])
-def test_an_export_is_being_written_from_its_press_to_its_end(panel, tmp_path, name):
+@pytest.mark.parametrize("taken", [False, True], ids=["written", "refused"])
+def test_an_export_is_being_written_from_its_press_to_its_end(panel, tmp_path, taken):
     jobs = []
     dialog = ExportDialog(panel.session, jobs.append, panel.page.download)
-    dialog.performance.format.value, dialog.performance.file.value = ".csv", str(tmp_path / name)
+    dialog.performance.format.value, dialog.performance.file.value = ".csv", str(tmp_path / "talk.csv")
     writing = [dialog.writing]
     dialog.performance.go.click()
     writing.append(dialog.writing)
+    if taken:
+        (tmp_path / "talk.csv").write_text("kept")
     jobs.pop()()
     assert [*writing, dialog.writing] == [False, True, False]
+
+
+def test_nothing_is_being_written_once_what_waited_was_cancelled(panel, tmp_path):
+    dialog = ExportDialog(panel.session, lambda job: None, panel.page.download)
+    dialog.settings.file.value = str(tmp_path / "mine.toml")
+    dialog.settings.export.click()
+    dialog.settings.cancel.click()
+    assert not dialog.writing
 
 
 def test_what_cannot_be_written_is_no_longer_in_progress(panel, monkeypatch):
@@ -767,11 +883,11 @@ def test_saving_settings_can_be_cancelled_and_leaves_no_file(panel, tmp_path):
             failed.append(str(error))
 
     def click(change):
-        shown.append(change["new"])
-        if change["new"] is None:
+        if f"{FRAMES} of {FRAMES}" in change["new"]:
             bar.cancel.click()
 
-    bar.cancel.layout.observe(click, "display")
+    bar.exported.observe(click, "value")
+    bar.cancel.layout.observe(lambda change: shown.append(change["new"]), "display")
     bar.file.value = str(tmp_path / "tuned.toml")
     panel.session.set(weights={"tau": 0.71})
     bar.export.click()

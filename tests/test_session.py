@@ -728,6 +728,17 @@ def test_of_two_sessions_none_replaces_unasked_what_the_other_saved(session, hea
     assert other.may_write(file)
 
 
+def test_an_export_of_an_earlier_configuration_leaves_the_last_run(session, tmp_path):
+    session.set(weights={"tau": 1.0})
+    earlier = session.config
+    session.set(weights={"tau": 9.0})
+    session.fit_clip()
+    session.export(tmp_path / "tau1.toml", config=earlier)
+    assert read_config(tmp_path / "tau1.toml").changed(provenance=None) == earlier
+    assert session.run.config == session.config
+    assert [str(item) for item in session.unexported] == ["weights.tau: 1 → 9"]
+
+
 def test_the_proposed_name_is_free(tmp_path):
     for name in ("clip-tuned.toml", "clip-tuned-2.toml"):
         (tmp_path / name).touch()

@@ -74,14 +74,20 @@ class PartFits:
             progress("fit", frame - begin + 1, len(walked))
 
     def whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
-        """The fits of the last complete run if it used this configuration, else of a new run. None if cancelled."""
+        """The fits of the last complete run if it used this configuration, else of a new run. None if cancelled.
+
+        A new run becomes the last one unless it is by an earlier configuration of the session.
+        """
         run = self._last(config)
         if run is None:
-            run = self._session.runs.fit(config, progress, cancelled)
-            if run is None:
-                return None
-            self._session.tell("run")
-        return run.fits
+            session = self._session
+            if fits_key(config) != fits_key(session.config):
+                run = session.runs.aside(config, progress, cancelled)
+            else:
+                run = session.runs.fit(config, progress, cancelled)
+                if run is not None:
+                    session.tell("run")
+        return None if run is None else run.fits
 
     def ran(self, config: Config) -> bool:
         """Whether the last complete run has the fits of a configuration."""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from workbench.config import Config
 from workbench.pipeline import software_versions
 from workbench.session.clip_run import Run, described_track
 from workbench.session.exports import model_words
@@ -16,10 +17,13 @@ from workbench.tracking.unwatched import never
 
 
 def performance_track(
-    session: TuningSession, progress: Progress | None = None, cancelled: Cancelled = never
+    session: TuningSession,
+    progress: Progress | None = None,
+    cancelled: Cancelled = never,
+    config: Config | None = None,
 ) -> Track | None:
-    """The clip under the current configuration, infilled and refined if configured; None if cancelled."""
-    config, material = session.config, session.material
+    """The clip under the current configuration, or `config`, infilled and refined if configured; None if cancelled."""
+    config, material = session.config if config is None else config, session.material
     fits = session.temporal.fits_by(config, progress, cancelled)
     if fits is None:
         return None

@@ -285,15 +285,16 @@ class TuningSession:
     # --- export ---
 
     def export(
-        self, path: str | Path, progress: Progress | None = None, cancelled: Cancelled = never, overwrite: bool = False
-    ) -> Path:
-        """Write the configuration with its provenance; `workbench track --config` reproduces the same numbers.
+        self, path: str | Path, progress: Progress | None = None, cancelled: Cancelled = never, overwrite: bool = False,
+        config: Config | None = None,
+    ) -> Path:  # fmt: skip
+        """Write the configuration (None: the current one) with its provenance, for `workbench track --config`.
 
         If the last run belongs to another configuration, all frames are fitted first, with infill and refinement if
         configured, so that the metrics in the file are those of its configuration. Raises `InputError` if `cancelled`,
-        and for a file that exists, unless this session wrote it or `overwrite` is set.
+        and for a file that exists, unless it is as this session wrote it or `overwrite` is set.
         """
-        path, config = Path(path), self.config
+        path, config = Path(path), config or self.config
         self._work.exports.check(path, overwrite)
         if not self._work.export(path, config, self.base, progress, cancelled):
             raise InputError(f"The export was cancelled; {path} was not written.")
@@ -302,14 +303,14 @@ class TuningSession:
         return path
 
     def may_write(self, path: str | Path) -> bool:
-        """Whether an export would overwrite nothing, or only a file that this session exported."""
+        """Whether an export would overwrite nothing, or only a file that is as this session exported it."""
         return self._work.exports.may_write(path)
 
-    def command(self, path: str | Path) -> str:
-        """The command line that runs an exported configuration on this material."""
+    def command(self, path: str | Path, config: Config | None = None) -> str:
+        """The command line that runs an exported configuration (None: the current one) on this material."""
         from workbench.session.exports import track_command  # here: see `_make`
 
-        return track_command(self.material, path, self.config, self._made and self._made.model)
+        return track_command(self.material, path, config or self.config, self._made and self._made.model)
 
     # --- listeners ---
 

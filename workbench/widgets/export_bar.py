@@ -2,8 +2,8 @@
 
 import html
 import os
-import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import ipywidgets as widgets
@@ -11,8 +11,18 @@ import ipywidgets as widgets
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
 from workbench.session.exports import exported_for, free_file
+from workbench.session.material import Cancelled
 from workbench.widgets.controls import small_button
 from workbench.widgets.download import Download
+from workbench.widgets.export_requests import ExportRequest, ExportRequests
+
+
+@dataclass(frozen=True)
+class SettingsRequest(ExportRequest):
+    """Settings to be saved."""
+
+    overwrite: bool
+    """Whether the user has agreed to replace what is there."""
 
 
 class ExportBar:
@@ -22,20 +32,18 @@ class ExportBar:
         self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
     ) -> None:
         self._session = session
-        self._stop = threading.Event()
         self._taken = Path()
         self.file = widgets.Text(
             "tuned.toml", tooltip="file for the configuration", continuous_update=False,
             layout=widgets.Layout(width="150px"),
         )  # fmt: skip
         self.export = small_button("save settings", "write the configuration with its provenance")
-        self.export.on_click(lambda _button: later(self._on_export))
+        self.export.on_click(lambda _button: self._on_export())
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
-        self.overwrite.on_click(lambda _button: later(self._on_overwrite))
-        self.cancel = small_button("cancel", "stop; no file is written")
-        self.cancel.layout.display = "none"
-        self.cancel.on_click(lambda _button: self.stop())
+        self.overwrite.on_click(lambda _button: self._on_overwrite())
+        self._requests = ExportRequests(self._write, later, self.stop)
+        self.cancel = self._requests.cancel
         self.download = Download(download)
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.widgets = (self.file, self.export, self.overwrite, self.download, self.exported)
@@ -46,14 +54,21 @@ class ExportBar:
         path = typed_path(self.file.value.strip() or "tuned.toml")
         return path if path.suffix == ".toml" else path.parent / f"{path.name}.toml"
 
+    @property
+    def busy(self) -> bool:
+        """Whether something waits or is being written."""
+        return self._requests.busy
+
     def stop(self) -> None:
-        """Stop a running export."""
-        self._stop.set()
+        """Cancel what waits or is being written."""
+        if waiting := self._requests.drop():
+            names = ", ".join(request.path.name for request in waiting)
+            self.exported.value = f"Cancelled; {html.escape(names)} was not written."
 
     def _on_export(self) -> None:
         path = self.path
         if self._session.may_write(path):
-            self._write(path)
+            self._ask(path)
         else:
             self._offer(path)
 
@@ -70,26 +85,29 @@ class ExportBar:
 
     def _on_overwrite(self) -> None:
         self.file.value = str(self._taken)
-        self._write(self._taken)
+        self._ask(self._taken, overwrite=True)
 
-    def _write(self, path: Path) -> None:
-        self._stop.clear()
+    def _ask(self, path: Path, overwrite: bool = False) -> None:
         self.download.offer(None)
-        self.overwrite.layout.display, self.cancel.layout.display = "none", None
+        self.overwrite.layout.display = "none"
+        self.exported.value = f"waiting to write {html.escape(path.name)} …"
+        self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
+
+    def _write(self, request: SettingsRequest, cancelled: Cancelled) -> None:
+        """Work, in the thread for slow jobs."""
+        path, config = request.path, request.config
 
         def progress(step: str, done: int, total: int | None) -> None:
             if done % 10 == 0 or done == total:
                 self.exported.value = f"{step} {done} of {total} …"
 
         try:
-            self._session.export(path, progress, self._stop.is_set, overwrite=True)
+            self._session.export(path, progress, cancelled, request.overwrite, config)
         except (WorkbenchError, OSError):
             self.exported.value = ""
             raise
-        finally:
-            self.cancel.layout.display = "none"
         self.download.offer(path)
-        command = html.escape(self._session.command(path))
+        command = html.escape(self._session.command(path, config))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"
 
 

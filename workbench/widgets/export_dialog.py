@@ -22,10 +22,8 @@ class ExportDialog:
     def __init__(
         self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
     ) -> None:
-        self._later = later
-        self._unwritten: list[Callable[[], None]] = []
-        self.settings = ExportBar(session, self._submit, download)
-        self.performance = PerformanceExport(session, self._submit, lambda: self.settings.path, download)
+        self.settings = ExportBar(session, later, download)
+        self.performance = PerformanceExport(session, later, lambda: self.settings.path, download)
         self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
         self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
                                  "primary")  # fmt: skip
@@ -51,7 +49,7 @@ class ExportDialog:
     @property
     def writing(self) -> bool:
         """Whether something is being written, or waits for its turn."""
-        return bool(self._unwritten)
+        return self.settings.busy or self.performance.busy
 
     def fold(self) -> None:
         """Unfold it, or fold it away."""
@@ -64,13 +62,3 @@ class ExportDialog:
         """Stop what is being written."""
         self.settings.stop()
         self.performance.stop()
-
-    def _submit(self, job: Callable[[], None]) -> None:
-        def written() -> None:
-            try:
-                job()
-            finally:
-                self._unwritten.remove(job)
-
-        self._unwritten.append(job)
-        self._later(written)

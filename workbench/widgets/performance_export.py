@@ -1,24 +1,28 @@
 """Export of a session's performance: format, file and options as on the command line, and the command itself."""
 
 import html
-import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import ipywidgets as widgets
 
-from workbench.errors import InputError, WorkbenchError
+from workbench.errors import InputError, StoppedError, WorkbenchError
 from workbench.export import export_track
+from workbench.export.clip import check_rate
 from workbench.export.suffixes import DRESSED, FORMATS, format_of, pictures_folder, place_of
 from workbench.face import character_names, dressed_as
 from workbench.face.characters import PLAIN
+from workbench.files import check_new, check_target, make_folder
 from workbench.session import TuningSession
+from workbench.session.material import Cancelled
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets.controls import menu, small_button
 from workbench.widgets.download import Download
 from workbench.widgets.export_bar import typed_path
+from workbench.widgets.export_requests import ExportRequest, ExportRequests
 from workbench.widgets.panel_layout import classed
-from workbench.widgets.status_line import StatusLine
+from workbench.widgets.status_line import StatusLine, error_text
 
 ALL_SHOTS = -1
 KINDS = {f"{suffix}  {told}": suffix for suffix, told in FORMATS.items()}
@@ -26,6 +30,22 @@ KINDS = {f"{suffix}  {told}": suffix for suffix, told in FORMATS.items()}
 
 class _CancelledError(Exception):
     """Raised to leave an export that the user cancelled."""
+
+
+@dataclass(frozen=True)
+class PerformanceRequest(ExportRequest):
+    """A performance to be exported."""
+
+    shot: int | None
+    rate: float | None
+    character: str | None
+
+    def check_free(self) -> None:
+        """Raise `OutputError` where something is in the way of what is written."""
+        pictures = self.character is not None and format_of(self.path) == ".usd"
+        for place in [place_of(self.path), *([pictures_folder(self.path)] if pictures else [])]:
+            check_new(place, "name another file, or move that one away")
+            check_target(place)
 
 
 class PerformanceExport:
@@ -40,7 +60,12 @@ class PerformanceExport:
         settings: Callable[[], Path],
         download: Callable[[Path], None],
     ) -> None:
-        self._session, self._settings, self._cancelled = session, settings, threading.Event()
+        self._session, self._settings = session, settings
+        self._requests = ExportRequests(self._write, later, self.stop)
+        self._ended: list[str] = []
+        """What became of the requests since none was left."""
+        self._wrong = False
+        """Whether one of them failed."""
         self.format = menu(KINDS, "440px", "format of the file")
         self.file = widgets.Text(
             f"{session.material.name}.glb", tooltip="file or folder to write", layout=widgets.Layout(width="180px")
@@ -56,11 +81,10 @@ class PerformanceExport:
         self.fps = widgets.Text(placeholder="input's fps", tooltip="frames per second in place of the input's (--fps)",
                                 layout=widgets.Layout(width="84px"))  # fmt: skip
         self.go = small_button("export", "write this file", "primary")
-        self.go.on_click(lambda _button: later(self._export))
-        self.cancel = small_button("cancel", "stop; no file is written")
-        self.cancel.on_click(lambda _button: self.stop())
+        self.go.on_click(lambda _button: self._on_go())
+        self.cancel = self._requests.cancel
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="120px"))
-        self.cancel.layout.display = self.progress.layout.display = "none"
+        self.progress.layout.display = "none"
         self.said, self.download = StatusLine(), Download(download)
         self.command = classed(widgets.HTML(), "fw-command")
         self.format.observe(self._on_format, "value")
@@ -68,9 +92,15 @@ class PerformanceExport:
             control.observe(lambda _change: self.show_command(), "value")
         self.show_options()
 
+    @property
+    def busy(self) -> bool:
+        """Whether something waits or is being written."""
+        return self._requests.busy
+
     def stop(self) -> None:
-        """Stop a running export."""
-        self._cancelled.set()
+        """Cancel what waits or is being written."""
+        for request in self._requests.drop():
+            self._end(_cancelled_text(request))
 
     def show_options(self) -> None:
         """Show the options that the format has, and the command."""
@@ -112,50 +142,78 @@ class PerformanceExport:
         self.file.value = f"{stem or self._session.material.name}{change['new']}"
         self.show_options()
 
-    def _export(self) -> None:
-        """Work, in the thread for slow jobs."""
-        self._cancelled.clear()
+    def _on_go(self) -> None:
+        if not self.busy:
+            self._ended, self._wrong = [], False
         self.download.offer(None)
-        self.cancel.layout.display = self.progress.layout.display = None
         try:
-            self.said.say(self._write())
-        except _CancelledError:
-            self.said.say("Cancelled; nothing was written.")
-        except (WorkbenchError, OSError) as error:
-            self.said.failed(error)
-        finally:
-            self.cancel.layout.display = self.progress.layout.display = "none"
+            request = self._request()
+        except WorkbenchError as error:
+            self._end(error_text(error), wrong=True)
+            return
+        self._say(f"waiting to write {request.path.name} …")
+        self._requests.submit(request)
 
-    def _write(self) -> str:
-        path, session = typed_path(self.file.value), self._session
-        if format_of(path) != self.format.value:
-            raise InputError(
-                f"{path} does not end in the chosen format's suffix {self.format.value}; change one of them."
-            )
-        written = [place_of(path), *([pictures_folder(path)] if self._dressed and self.format.value == ".usd" else [])]
-        for taken in written:
-            if taken.exists():
-                raise InputError(f"{taken} exists already; name another file, or move that one away.")
+    def _request(self) -> PerformanceRequest:
+        """What is chosen. Raises `InputError` and `OutputError` for what cannot be written."""
+        path, suffix = typed_path(self.file.value), self.format.value
+        if format_of(path) != suffix:
+            raise InputError(f"{path} does not end in the chosen format's suffix {suffix}; change one of them.")
         rate = _rate(self.fps.value) if self._takes_rate else None
-        track = performance_track(session, self._told, self._cancelled.is_set)
+        check_rate(rate)
+        shot = None if self.shot.value == ALL_SHOTS else self.shot.value
+        character = self.character.value if self._dressed else None
+        request = PerformanceRequest(path, self._session.config, shot, rate, character)
+        request.check_free()
+        make_folder(path.parent)
+        return request
+
+    def _write(self, request: PerformanceRequest, cancelled: Cancelled) -> None:
+        """Work, in the thread for slow jobs."""
+        self.progress.value, self.progress.layout.display = 0, None
+        try:
+            self._end(self._written(request, cancelled))
+        except (_CancelledError, StoppedError):
+            self._end(_cancelled_text(request))
+        except (WorkbenchError, OSError) as error:
+            self._end(error_text(error), wrong=True)
+        finally:
+            self.progress.layout.display = "none"
+
+    def _written(self, request: PerformanceRequest, cancelled: Cancelled) -> str:
+        def told(step: str, done: int, total: int | None) -> None:
+            if cancelled():
+                raise _CancelledError
+            total = total or len(self._session)
+            if done == 1 or done == total or done % max(total // 40, 1) == 0:
+                self.progress.max, self.progress.value = total, done
+                self._say(f"{step} {done} of {total} …")
+
+        session = self._session
+        request.check_free()  # another one may have been written while it waited
+        track = performance_track(session, told, cancelled, request.config)
         if track is None:
             raise _CancelledError
-        dressed = dressed_as(self.character.value, session.model) if self._dressed else None
-        shot = None if self.shot.value == ALL_SHOTS else self.shot.value
-        path.parent.mkdir(parents=True, exist_ok=True)
+        dressed = None if request.character is None else dressed_as(request.character, session.model)
         done = export_track(
-            track, session.model, path, shot=shot, rate=rate, dressed=dressed, progress=self._told
-        )  # fmt: skip
+            track, session.model, request.path, shot=request.shot, rate=request.rate, dressed=dressed, progress=told
+        )
         self.download.offer(done.path)
         return " ".join([f"Wrote {done.path.absolute()}.", *done.notes])
 
-    def _told(self, step: str, done: int, total: int | None) -> None:
-        if self._cancelled.is_set():
-            raise _CancelledError
-        total = total or len(self._session)
-        if done == 1 or done == total or done % max(total // 40, 1) == 0:
-            self.progress.max, self.progress.value = total, done
-            self.said.say(f"{step} {done} of {total} …")
+    def _say(self, text: str) -> None:
+        """Show a text after those about what ended before."""
+        self.said.say(" ".join([*self._ended, text]), self._wrong)
+
+    def _end(self, text: str, wrong: bool = False) -> None:
+        """Show a text that stays until nothing is left to be written."""
+        self._wrong = self._wrong or wrong
+        self._say(text)
+        self._ended.append(text)
+
+
+def _cancelled_text(request: PerformanceRequest) -> str:
+    return f"Cancelled; {request.path.name} was not written."
 
 
 def _with_point(text: str) -> str:
