@@ -471,6 +471,13 @@ class TestPlacesThatCannotBeWritten:
             (tmp_path / "another").read_text()
         assert list(tmp_path.iterdir()) == []
 
+    @pytest.mark.parametrize("suffix", [".png", ".jpg"])
+    def test_a_picture_that_finds_no_room_says_what_the_system_says(self, tmp_path, suffix):
+        noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+        with pytest.raises(OutputError, match="the system allows no larger file there"), small_disk(1000):
+            write_picture(tmp_path / f"a{suffix}", noise)
+        assert list(tmp_path.iterdir()) == []
+
     @pytest.mark.parametrize("suffix", [*FORMATS, ".usda"])
     def test_an_export_to_a_full_disk_leaves_nothing(self, head, tmp_path, suffix):
         track = performance(head)

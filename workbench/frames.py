@@ -521,7 +521,7 @@ def write_picture(path: str | Path, picture: UInt8[np.ndarray, "..."], quality: 
     options = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, quality]
     encoded = cv2.imencode(suffix, cv2.cvtColor(_checked_picture(picture), cv2.COLOR_RGB2BGR), options)[1]
     with atomic_path(path) as temporary:
-        encoded.tofile(temporary)
+        temporary.write_bytes(encoded)
 
 
 def _checked_picture(picture: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
