@@ -1,6 +1,8 @@
 """`workbench landmarks`: what it writes, what it tells, and that `workbench track` goes on from there."""
 
+import errno
 import hashlib
+import os
 import sys
 
 import cv2
@@ -364,6 +366,44 @@ def test_an_interruption_leaves_no_half_table(run, tmp_path, monkeypatch):
     assert code == 130
     assert "landmarks.csv was not written" in err
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def no_table(path, target):
+    """Stands for `Path.replace` where there is no room for a table."""
+    if path.suffix == ".csv":
+        raise OSError(errno.ENOSPC, "No space left on device")
+    return os.replace(path, target)
+
+
+def stop_at_the_last(detector, picture, box):
+    """Stands for the alignment of a picture: Ctrl-C at the larger face of two."""
+    if box[2] - box[0] > 95:
+        raise KeyboardInterrupt
+    return Landmarks2D(frame_from_box(box).to_image(MEAN_SHAPE), CONFIDENCE, picture.shape[1::-1])
+
+
+@pytest.mark.usefixtures("detector", "photos", "film")
+@pytest.mark.parametrize("theirs", [False, True])
+@pytest.mark.parametrize(
+    ("inputs", "place", "happens"),
+    [
+        ("photos", "pathlib.Path.replace", no_table),
+        ("photos", "tests.test_cli_landmarks.BrightSquares.align", stop_at_the_last),
+        ("film.mp4", "pathlib.Path.replace", no_table),
+    ],
+)
+def test_what_a_call_drew_goes_with_the_table_that_it_could_not_write(
+    run, tmp_path, monkeypatch, inputs, place, happens, theirs
+):
+    if theirs:
+        (tmp_path / "l").mkdir()
+        (tmp_path / "l" / "mine.txt").write_text("of the user")
+    before = sorted(tmp_path.rglob("*"))
+    with monkeypatch.context() as patch:
+        patch.setattr(place, happens)
+        assert run("landmarks", inputs, "--out", "l.csv")[0] in (2, 130)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert run("landmarks", inputs, "--out", "l.csv")[0] == 0
 
 
 # --- with the real detectors ---

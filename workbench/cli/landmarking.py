@@ -1,8 +1,8 @@
 """`workbench landmarks`: faces and their points in photos or in the frames of a video, each on its own."""
 
 import shlex
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -136,22 +136,42 @@ def _check_new(out: Path, drawn: Path | None, named: bool) -> None:
 
 def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
     files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
-    with ExitStack() as opened:
-        table = opened.enter_context(files.LandmarkCsvWriter(out, scheme=source.scheme))
-        film = None
-        if drawn is not None and source.frames.kind == "video":
-            rate = source.frames.rate or RATE_WITHOUT_CLOCK
-            film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
-        for frame, observation in source.stills():
-            points = observation.landmarks
-            table.write(files.LandmarkRecord(frame.index, frame.name, points, observation.image_size))
-            if film is not None:
-                film.write(draw(frame.picture, points, frame.name))
-            elif drawn is not None:
-                workbench.frames.write_picture(drawn / _picture_name(frame), draw(frame.picture, points, frame.name))
-            found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
-            progress("landmarks", len(found), source.count)
+    with _kept_together(drawn) as made, files.LandmarkCsvWriter(out, scheme=source.scheme) as table:
+        with ExitStack() as opened:
+            film = None
+            if drawn is not None and source.frames.kind == "video":
+                rate = source.frames.rate or RATE_WITHOUT_CLOCK
+                film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
+            for frame, observation in source.stills():
+                points = observation.landmarks
+                table.write(files.LandmarkRecord(frame.index, frame.name, points, observation.image_size))
+                if film is not None:
+                    film.write(draw(frame.picture, points, frame.name))
+                elif drawn is not None:
+                    path = drawn / _picture_name(frame)
+                    workbench.frames.write_picture(path, draw(frame.picture, points, frame.name))
+                    made.append(path)
+                found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
+                progress("landmarks", len(found), source.count)
+        if film is not None:
+            made.append(film.path)
     return found
+
+
+@contextmanager
+def _kept_together(drawn: Path | None) -> Iterator[list[Path]]:
+    """A list for what is drawn beside the table: if that is not written, these are removed, and their new folder."""
+    made: list[Path] = []
+    new = drawn is not None and not drawn.exists()
+    try:
+        yield made
+    except BaseException:
+        for path in made:
+            path.unlink(missing_ok=True)
+        if drawn is not None and new:
+            with suppress(OSError):  # not empty, or never made
+                drawn.rmdir()
+        raise
 
 
 def _picture_name(frame: "workbench.frames.Frame") -> str:
