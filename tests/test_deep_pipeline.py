@@ -245,6 +245,68 @@ def test_a_rig_belongs_to_its_run_and_may_be_moved(head, stereo, tmp_path):
     assert Track.load(tmp_path / "run-refine" / "track.npz").meta["config"]["camera"]["rig"] == str(moved)
 
 
+@pytest.fixture(scope="module")
+def project(stereo, tmp_path_factory):
+    """A folder with clips, rig and the run `rg`, which was begun in it by relative names."""
+    folder = tmp_path_factory.mktemp("project")
+    for path in (stereo[0], *stereo[2].values()):
+        shutil.copy(path, folder)
+    command = ["track", "middle.csv", "--rig", "rig.toml", "--view", "side=side.csv", "--preset", "deep-points"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        done = CliRunner().invoke(app, [*command, "--no-identity", "--no-pictures", "--out", "rg"])
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def refined(run):
+    return CliRunner().invoke(app, ["refine", str(run), "--method", "averaging", "--no-pictures", "--overwrite"])
+
+
+def test_the_rig_of_a_run_is_found_from_another_folder(project, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert refined(project / "rg").exit_code == 0
+
+
+def test_the_rig_of_an_older_run_is_found_from_another_folder(project, tmp_path, monkeypatch):
+    """Its configuration names the rig as it was named then."""
+    old = Track.load(shutil.copytree(project / "rg", tmp_path / "rg") / "track.npz")
+    old.meta["config"]["camera"]["rig"] = "rig.toml"
+    old.save(tmp_path / "rg" / "track.npz")
+    monkeypatch.chdir(tmp_path)
+    assert refined("rg").exit_code == 0
+
+
+def test_the_rig_of_a_folder_that_was_moved_is_found_in_it(project, tmp_path, monkeypatch):
+    moved = tmp_path / "moved"
+    shutil.copytree(project, moved)
+    track_file = moved / "rg" / "track.npz"
+    old = Track.load(track_file)
+    gone = json.dumps(old.meta).replace(str(project), "/nowhere/project")
+    replace(old, meta=json.loads(gone)).save(track_file)
+    monkeypatch.chdir(moved)
+    assert refined("rg").exit_code == 0
+
+
+def test_a_run_that_was_begun_with_a_rig_by_another_name_of_it_goes_on(project, head, monkeypatch):
+    monkeypatch.chdir(project)
+    config = preset("deep-points").changed(camera={"rig": "rig.toml"}, identity={"calibrate": False})
+    options = {"views": {"side": project / "side.csv"}, "pictures": False, "resume": True}
+    assert "nothing was left to do" in track("middle.csv", "rg", head, config, **options).notes[0]
+
+
+@pytest.mark.parametrize("option", ["--network", "--face-landmarker"])
+def test_other_files_of_a_run_have_names_that_hold_from_every_folder(option, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("workbench.cli.tracking._run", lambda *given, **_: asked.append(given[2]))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.task").write_bytes(b"weights")
+    command = ["track", "clip.mp4", "--preset", "deep", "--detector", "mediapipe", option, "own.task"]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    (config,) = asked
+    assert str(tmp_path / "own.task") in (config.deep.network, config.landmarks.face_landmarker)
+
+
 def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
     rig, _, files = stereo
     single = preset("deep-points")

@@ -242,3 +242,25 @@ def _file_digest(path: Path, _size: int, _mtime_ns: int, _ctime_ns: int) -> byte
     """SHA-256 of a file in this state. Its times are two because a copy may bring that of its content along."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").digest()
+
+
+def is_as_hashed(path: Path, sha256: str) -> bool:
+    """Whether a file or folder holds what was hashed (`content_hash`), or nobody knows what that was."""
+    return not sha256 or content_hash(path) == sha256
+
+
+def place_now(named: str, sha256: str) -> Path:
+    """Where a file or folder is that a track names: there, or under the current folder, where the end of its path is.
+
+    So a folder that was moved or copied, with clips and runs in it, can still be worked in.
+    """
+    path, brought = Path(named), brought_along(named, sha256)
+    return path if not brought or (os.path.exists(path) and is_as_hashed(path, sha256)) else brought[0]
+
+
+def brought_along(named: str, sha256: str) -> list[Path]:
+    """What is under the current folder where the end of a path is, and holds the same as what a track names by it."""
+    path = Path(named)
+    ends = [Path(*path.parts[first:]) for first in range(1, len(path.parts))]
+    there = [end for end in ends if os.path.exists(end) and not (os.path.exists(path) and end.samefile(path))]
+    return [end for end in there if is_as_hashed(end, sha256)]

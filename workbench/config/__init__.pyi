@@ -3,6 +3,7 @@ from .comparison import differences as differences
 from .configuration import DEFAULT_PRESET as DEFAULT_PRESET
 from .configuration import VERSION as VERSION
 from .configuration import Config as Config
+from .files import NAMED_FILES as NAMED_FILES
 from .files import config_of_track as config_of_track
 from .files import config_toml as config_toml
 from .files import parse_config as parse_config

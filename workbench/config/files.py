@@ -13,7 +13,12 @@ from workbench.config.schedules import PARALLEL_STAGES, Stage
 from workbench.errors import ConfigError
 from workbench.face.characters import PLAIN, is_there
 from workbench.files import atomic_path
-from workbench.reading import checked_file, reading, toml_tables
+from workbench.reading import checked_file, place_now, reading, toml_tables
+
+NAMED_FILES = (("camera", "rig"), ("deep", "network"), ("flow", "estimator"))
+"""Sections and keys of what may be a file that fits depend on; the key `files` of a track's metadata is in this order.
+
+What comes along is called by words without a suffix."""
 
 
 def read_config(path: str | Path) -> Config:
@@ -45,8 +50,8 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
 def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     """The configuration that a track was made with, by its metadata; None where it holds none.
 
-    A character that is no longer there is the plain head, unless fits depend on it. Raises `ConfigError` like
-    `parse_config`.
+    A character that is no longer there is the plain head, unless fits depend on it. Files are named where they are,
+    from whatever folder the run named them. Raises `ConfigError` like `parse_config`.
     """
     stored, origin = meta.get("config"), "The track's configuration"
     if not stored:
@@ -55,8 +60,20 @@ def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     if isinstance(head, dict) and isinstance(name := head.get("character"), str) and not is_there(name):
         plain = parse_config({**stored, "head": {**head, "character": PLAIN}}, origin)
         if not plain.renders_character:
-            return plain
-    return parse_config(stored, origin)
+            return _with_its_files(plain, meta)
+    return _with_its_files(parse_config(stored, origin), meta)
+
+
+def _with_its_files(config: Config, meta: Mapping[str, Any]) -> Config:
+    """A track's configuration with its files named as the metadata say, or where they were moved to."""
+    left, places = list(meta.get("files", [])), {}
+    for section, key in NAMED_FILES:
+        name = Path(getattr(getattr(config, section), key)).name
+        same = next((item for item in left if Path(item["path"]).name == name), None)
+        if same is not None:
+            left.remove(same)
+            places[section] = {key: str(place_now(same["path"], same.get("sha256", "")))}
+    return config.changed(**places) if places else config
 
 
 def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames
 from workbench.geometry import read_rig
 from workbench.landmarks.files import is_landmark_file
-from workbench.reading import content_hash
+from workbench.reading import brought_along, is_as_hashed, place_now
 from workbench.tracking import Track
 
 
@@ -45,7 +45,7 @@ def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
     Older tracks do not name them: theirs are in the order of the rig. Raises `InputError` if that rig cannot be read.
     """
     if meta.get("views") is not None:
-        return {name: _place(path, _hashes(meta).get(path, "")) for name, path in meta["views"].items()}
+        return {name: place_now(path, _hashes(meta).get(path, "")) for name, path in meta["views"].items()}
     paths = _inputs(meta)
     config = config_of_track(meta) if len(paths) > 1 else None
     names = read_rig(config.camera.rig).names[1:] if config is not None and config.camera.rig else ()
@@ -53,7 +53,7 @@ def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
 
 
 def _inputs(meta: Mapping[str, Any]) -> list[Path]:
-    return [_place(item["path"], item.get("sha256", "")) for item in meta.get("inputs", [])]
+    return [place_now(item["path"], item.get("sha256", "")) for item in meta.get("inputs", [])]
 
 
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
@@ -62,13 +62,15 @@ def input_files(meta: Mapping[str, Any]) -> list[Path]:
     Among them those of a copied folder that is worked in, beside the originals.
     """
     named = filter(None, [*meta.get("inputs", []), meta.get("landmarks")])
-    return [place for item in named for place in (Path(item["path"]), *_brought(item["path"], item.get("sha256", "")))]
+    return [
+        place for item in named for place in (Path(item["path"]), *brought_along(item["path"], item.get("sha256", "")))
+    ]
 
 
 def landmark_file(meta: Mapping[str, Any]) -> Path | None:
     """The file that a track's landmarks come from, by its metadata; None where a detector found them."""
     named = meta.get("landmarks")
-    return None if named is None else _place(named["path"], named.get("sha256", ""))
+    return None if named is None else place_now(named["path"], named.get("sha256", ""))
 
 
 def gone_pictures(meta: Mapping[str, Any], paths: Iterable[Path]) -> dict[Path, str]:
@@ -87,30 +89,9 @@ def _hashes(meta: Mapping[str, Any]) -> dict[str, str]:
     return {item["path"]: item.get("sha256", "") for item in meta.get("inputs", [])}
 
 
-def _place(named: str, sha256: str) -> Path:
-    """Where a file or folder is that a track names: there, or under the current folder, where the end of its path is.
-
-    So a folder that was moved or copied, with clips and runs in it, can still be worked in.
-    """
-    path, brought = Path(named), _brought(named, sha256)
-    return path if not brought or (os.path.exists(path) and _fits(path, sha256)) else brought[0]
-
-
-def _brought(named: str, sha256: str) -> list[Path]:
-    """What is under the current folder where the end of a path is, and holds the same as what a track names by it."""
-    path = Path(named)
-    ends = [Path(*path.parts[first:]) for first in range(1, len(path.parts))]
-    there = [end for end in ends if os.path.exists(end) and not (os.path.exists(path) and end.samefile(path))]
-    return [end for end in there if _fits(end, sha256)]
-
-
 def _holds(path: Path, sha256: str) -> bool:
     """Whether a file is the one that was hashed. A folder counts as such: what came into it later may be no picture."""
-    return not path.is_file() or _fits(path, sha256)
-
-
-def _fits(path: Path, sha256: str) -> bool:
-    return not sha256 or content_hash(path) == sha256
+    return not path.is_file() or is_as_hashed(path, sha256)
 
 
 def tracked_part(frames: Frames, meta: Mapping[str, Any]) -> Frames:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.config import Config, write_config
+from workbench.config import NAMED_FILES, Config, write_config
 from workbench.energies.terms import TABLE
 from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
@@ -456,8 +456,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
 
 def _named_files(config: Config) -> dict[str, Any]:
     """The files of a configuration that fits depend on, for a track's metadata; nothing where it names none."""
-    named = map(Path, (config.camera.rig, config.deep.network, config.flow.estimator))
-    # What comes along is called by words without a suffix.
+    named = [Path(getattr(getattr(config, section), key)) for section, key in NAMED_FILES]
     files = [file_record(path) for path in named if path.suffix and path.is_file()]
     return {"files": files} if files else {}
 
@@ -472,11 +471,15 @@ def _fingerprint(meta: dict[str, Any]) -> str:
     """The metadata holds all that a run depends on: inputs, configuration and its files, model, versions.
 
     The order of its entries counts, as later landmark weights overrule earlier ones. Of the detector only which one ran
-    counts, not whether it was asked for by name or by "auto"; of inputs what they hold, not where they are. Files
-    that the configuration names count by both.
+    counts, not whether it was asked for by name or by "auto"; of inputs, and of files that the configuration names,
+    what they hold, not where they are.
     """
-    landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
-    run = {**meta, "config": {**meta["config"], "landmarks": landmarks}, "views": list(meta.get("views") or {})}
+    stored = meta["config"]
+    config = {**stored, "landmarks": {**stored["landmarks"], "detector": meta["detector"]}}
+    for section, key in NAMED_FILES:
+        if meta.get("files") and Path(stored[section][key]).suffix:
+            config[section] = {**stored[section], key: ""}
+    run = {**meta, "config": config, "views": list(meta.get("views") or {})}
     for name in ("inputs", "files"):
         run[name] = [item.get("sha256") for item in meta.get(name, [])]
     run["landmarks"] = (meta.get("landmarks") or {}).get("sha256")

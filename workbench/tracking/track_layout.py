@@ -100,6 +100,7 @@ class _Metadata(_Section):
     inputs: list[_File] = []
     views: dict[str, str] | None = None
     landmarks: _File | None = None
+    files: list[_File] = []
     detector: str | None = None
     names: list[str] = []
     stills: bool = False
