@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.films import FOV_DEG
 from workbench.config import preset, read_config
+from workbench.errors import InputError
 from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
@@ -349,3 +351,55 @@ def test_a_run_over_time_that_is_interrupted_between_its_two_tracks_goes_on(head
     assert not (tmp_path / "unrefined.npz.parts").exists()
     track(clip / "clip.mp4", tmp_path, head, changed, **given)
     assert Track.load(tmp_path / "track.npz").found.all()
+
+
+@pytest.fixture
+def own(clip, tmp_path):
+    """A clip that a test may change."""
+    return Path(shutil.copy(clip / "clip.mp4", tmp_path))
+
+
+def replacing(path, *steps):
+    """A progress that puts another file in a clip's place at the last frame of one of these steps."""
+    other = path.read_bytes() + b"\0"
+    return lambda step, done, total: path.write_bytes(other) if step in steps and done == COUNT else None
+
+
+CHANGED = r"clip\.mp4 was changed while this run read it; once the file stays as it is, repeat the run with --overwrite"
+
+
+def test_a_clip_that_is_replaced_before_its_film_is_drawn_ends_the_run(head, clip, config, own, tmp_path):
+    """Else fits of one clip would be drawn on the pictures of another."""
+    with pytest.raises(InputError, match=CHANGED):
+        track(
+            own,
+            tmp_path / "new",
+            head,
+            config,
+            landmarks=clip / "points.csv",
+            progress=replacing(own, "overlay"),
+        )
+    assert not (tmp_path / "new" / "track.npz").exists()
+
+
+def test_a_clip_that_is_replaced_before_the_film_of_a_new_track_ends_it(head, finished, config, own, tmp_path):
+    averaged = config.changed(refinement={"method": "averaging"})
+    with pytest.raises(InputError, match=CHANGED):
+        retrack(
+            finished / "track.npz",
+            tmp_path / "new",
+            head,
+            averaged,
+            ("refine",),
+            clip=own,
+            progress=replacing(own, "time"),
+        )
+    assert not list((tmp_path / "new").glob("track.npz*"))
+
+
+def test_a_clip_that_is_replaced_after_its_frames_were_fitted_ends_the_run(head, clip, config, own, tmp_path):
+    changed = config.changed(refinement={"method": "averaging"})
+    given = {"landmarks": clip / "points.csv", "pictures": False, "progress": replacing(own, "refine")}
+    with pytest.raises(InputError, match=CHANGED):
+        track(own, tmp_path / "new", head, changed, **given)
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["unrefined.npz.parts"]

@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -293,6 +294,17 @@ def test_a_run_that_was_begun_with_a_rig_by_another_name_of_it_goes_on(project, 
     config = preset("deep-points").changed(camera={"rig": "rig.toml"}, identity={"calibrate": False})
     options = {"views": {"side": project / "side.csv"}, "pictures": False, "resume": True}
     assert "nothing was left to do" in track("middle.csv", "rg", head, config, **options).notes[0]
+
+
+def test_a_rig_that_is_edited_while_a_run_reads_it_ends_the_run(project, head, tmp_path):
+    rig = Path(shutil.copy(project / "rig.toml", tmp_path))
+    config = preset("deep-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
+    options = {"views": {"side": project / "side.csv"}, "pictures": False}
+    with pytest.raises(InputError, match=r"rig\.toml was changed while this run read it"):
+        track(
+            project / "middle.csv", tmp_path / "new", head, config, **options,
+            progress=lambda *_: write_rig(make_rig((-15.0, 16.0)), rig),
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize("option", ["--network", "--face-landmarker"])

@@ -6,7 +6,7 @@ import resource
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -372,6 +372,76 @@ class TestFinishedRuns:
         assert "already holds a finished run" in err
         assert run("track", "points.csv", "--no-pictures", "--overwrite")[0] == 0
         assert "nothing was left to do" in run("track", "points.csv", "--no-pictures", "--resume")[1]
+
+
+class TestInputsThatChangeMeanwhile:
+    """At its third frame something happens to what a run reads."""
+
+    @staticmethod
+    def at_the_third(happens):
+        return lambda step, done, total: happens() if done == 3 else None
+
+    @pytest.fixture
+    def replaced(self, points):
+        """Puts other landmarks in the file's place, and the file's own content."""
+        own = points.read_bytes()
+        other = own.replace(b",1", b",2")
+        return lambda: points.write_bytes(other), own
+
+    def test_a_run_whose_input_is_replaced_ends_and_leaves_nothing(self, quick, points, replaced, tmp_path):
+        with pytest.raises(InputError, match=r"points\.csv was changed while this run read it; .* with --overwrite"):
+            quick(points, tmp_path / "out", progress=self.at_the_third(replaced[0]))
+        assert not (tmp_path / "out").exists()
+
+    def test_it_goes_on_with_the_parts_of_before_where_the_input_is_put_back(
+        self, quick, points, replaced, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr("workbench.tracking.track_writer.PART_FRAMES", 2)
+        whole = quick(points, tmp_path / "whole").track
+        with pytest.raises(InputError, match="was changed"):
+            quick(points, tmp_path / "cut", progress=self.at_the_third(replaced[0]))
+        with pytest.raises(OutputError, match="an interrupted run of another input"):
+            quick(points, tmp_path / "cut", resume=True)
+        points.write_bytes(replaced[1])
+        fitted = []
+        resumed = quick(points, tmp_path / "cut", resume=True, progress=lambda *step: fitted.append(step[1])).track
+        assert fitted[0] == 3
+        assert np.array_equal(resumed.expression, whole.expression)
+
+    def test_an_interruption_keeps_no_frame_that_may_be_of_another_file(self, quick, points, replaced, tmp_path):
+        def change_and_stop():
+            replaced[0]()
+            raise KeyboardInterrupt
+
+        with pytest.raises(InputError, match="was changed"):
+            quick(points, tmp_path / "out", progress=self.at_the_third(change_and_stop))
+        assert not (tmp_path / "out").exists()
+
+    def test_a_finished_run_is_not_thrown_away_for_one_whose_input_changed(self, quick, points, replaced, tmp_path):
+        quick(points, tmp_path / "out", frames=(0, 1))
+        before = content(tmp_path / "out")
+        with pytest.raises(InputError, match="was changed"):
+            quick(points, tmp_path / "out", overwrite=True, progress=self.at_the_third(replaced[0]))
+        assert content(tmp_path / "out") == before
+
+    @pytest.mark.parametrize("happens", [Path.touch, Path.unlink])
+    def test_a_file_that_is_touched_or_gone_ends_no_run(self, quick, points, tmp_path, happens):
+        made = quick(points, tmp_path / "out", progress=self.at_the_third(lambda: happens(points)))
+        assert len(made.track) == FRAMES
+
+    @pytest.mark.parametrize(("name", "changes"), [("notes.txt", False), ("new.png", False), ("4.png", True)])
+    def test_of_a_folder_its_pictures_count(self, quick, points, tmp_path, name, changes):
+        photos = tmp_path / "photos"
+        for index in range(FRAMES):
+            write_picture(photos / f"{index}.png", np.zeros((480, 640, 3), np.uint8))
+        (photos / "notes.txt").write_text("of before")
+        given = {
+            "landmarks": points,
+            "stills": True,
+            "progress": self.at_the_third(lambda: shutil.copy(sample("astronaut"), photos / name)),
+        }
+        with pytest.raises(InputError, match=r"4\.png was changed") if changes else nullcontext():
+            quick(photos, photos / "result", **given)
 
 
 class TestPartsOfAnInput:

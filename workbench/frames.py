@@ -246,6 +246,15 @@ def image_names(frames: Frames | None) -> list[str]:
     return [path.name for path in frames.paths] if isinstance(frames, ImageFrames) else []
 
 
+def files_read(frames: Frames) -> list[Path]:
+    """The files that a stream reads: images in their order, or a video; none where pictures come from elsewhere."""
+    if isinstance(frames, FrameRange):
+        return files_read(frames._frames)
+    if isinstance(frames, ImageFrames):
+        return frames.paths
+    return [frames.path] if isinstance(frames, VideoFrames) else []
+
+
 class FrameRange:
     """Consecutive frames of a stream as a stream of their own, counted from 0; their times are those of the stream."""
 

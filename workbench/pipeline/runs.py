@@ -19,7 +19,7 @@ from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files, reference_inputs
 from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
-from workbench.frames import Frames, ImageFrames
+from workbench.frames import Frames, ImageFrames, files_read
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, is_landmark_file
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.landmarks.schemes import OF_DETECTORS
@@ -39,6 +39,7 @@ from workbench.pipeline.temporal_run import (
     wanted_steps,
     worked_meta,
 )
+from workbench.pipeline.watched_files import WatchedFiles
 from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation, Track
@@ -110,6 +111,7 @@ def track(
             source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
         stills = stills or source.single_picture
         job = replace(job, model=in_scheme(model, source.scheme))
+        watched = _watched([*paths, *views.values()], landmarks, config, source.views)
         meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
         meta["views"] = {name: str(path.absolute()) for name, path in views.items()}
@@ -118,7 +120,7 @@ def track(
         if finished is not None:
             return finished
         with _telling_what_is_kept(job.folder):
-            return _run(job, source, meta, stills)
+            return _run(job, source, meta, stills, watched)
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,7 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
     raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it by --overwrite.")
 
 
-def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
+def _run(job: _Job, source, meta: dict[str, Any], stills: bool, watched: WatchedFiles) -> RunResult:
     folder, model, config, progress, steps = job.folder, job.model, job.config, job.progress, job.steps
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
@@ -221,7 +223,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
-    writer = TrackWriter(job.fits_path, meta, _begun_as(job.fits_path, meta), job.resume)
+    writer = TrackWriter(job.fits_path, meta, _begun_as(job.fits_path, meta), job.resume, watched.check)
     began, already, strips = time.perf_counter(), len(writer), []
     deep = config.traits.renders
     told, files = [], ()
@@ -248,7 +250,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
             files, told = drawn.files(len(writer)), drawn.notes()
     written = writer
     if steps:
-        written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
+        fits, count = _fits(writer), len(writer)
+        written = _over_time(fits, source.views, model, config, steps, meta, folder, progress, count, watched)
     seconds = time.perf_counter() - began
     summary = summary_of(written.tracks(), seconds if not already else None)
     files = _write_tables(written, summary, model, config, folder) + files
@@ -257,6 +260,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     if job.pictures and not stills:
         files += _write_film(source.frames, written, model, dressed, folder, progress, told)
     files = (folder / "track.npz", *((folder / UNREFINED,) if steps else ()), *files)
+    watched.check()  # the film read them once more
     if job.overwrite:
         remove_earlier(folder, files)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
@@ -306,9 +310,10 @@ def retrack(
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, resume=False, overwrite=overwrite, resumable=False):
         began = time.perf_counter()
+        watched = WatchedFiles([reader.path, *_pictures_of(opened), *_named_paths(config)])
         of_track = {name: value for name, value in reader.meta.items() if name != "files"}
         meta = {**of_track, "track": file_record(reader.path), **_named_files(config)}
-        writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
+        writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader), watched)
         try:
             summary = summary_of(writer.tracks(), time.perf_counter() - began)
             files, told = _write_tables(writer, summary, model, config, folder), []
@@ -317,6 +322,7 @@ def retrack(
             elif pictures and not any(map(is_landmark_file, reference_inputs(reader.meta))):
                 told.append("No film was drawn: the pictures of this track are no longer there; name them with --clip.")
             files = (folder / "track.npz", *files)
+            watched.check()  # the film read them once more
             if overwrite:
                 remove_earlier(folder, files)
             writer.close()
@@ -335,11 +341,20 @@ def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
 
 
 def _over_time(
-    fits: Iterable[FrameFit], views, model, config, steps, meta, folder: Path, progress: Progress, total: int
+    fits: Iterable[FrameFit],
+    views,
+    model,
+    config,
+    steps,
+    meta,
+    folder: Path,
+    progress: Progress,
+    total: int,
+    watched: WatchedFiles,
 ) -> TrackWriter:
     """The writer of the new track, all of its frames in it."""
     meta = worked_meta(meta, config, steps)
-    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta))
+    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta), check=watched.check)
     try:
         for fit in over_time(fits, views, model, config, steps, progress, total):
             writer.add(fit)
@@ -456,9 +471,31 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
 
 def _named_files(config: Config) -> dict[str, Any]:
     """The files of a configuration that fits depend on, for a track's metadata; nothing where it names none."""
-    named = [Path(getattr(getattr(config, section), key)) for section, key in NAMED_FILES]
-    files = [file_record(path) for path in named if path.suffix and path.is_file()]
+    files = [file_record(path) for path in _named_paths(config)]
     return {"files": files} if files else {}
+
+
+def _named_paths(config: Config) -> list[Path]:
+    named = [Path(getattr(getattr(config, section), key)) for section, key in NAMED_FILES]
+    return [path for path in named if path.suffix and path.is_file()]
+
+
+def _watched(inputs: Sequence[Path], landmarks: Path | None, config: Config, views: Sequence[Frames]) -> WatchedFiles:
+    """What a run reads: pictures and landmarks, and the files that a configuration names.
+
+    Of a folder nothing else counts: what is written into it meanwhile is no input.
+    """
+    given = [*filter(is_landmark_file, inputs), *_given(landmarks)]
+    points = [file for path in given for file in (_pts_in(path) if path.is_dir() else [path])]
+    return WatchedFiles([*_pictures_of(views), *points, *_named_paths(config)])
+
+
+def _pts_in(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.suffix.lower() == ".pts"]
+
+
+def _pictures_of(views: Sequence[Frames]) -> list[Path]:
+    return [path for view in views for path in files_read(view)]
 
 
 def _names(frames: Frames) -> list[str]:

@@ -6,7 +6,7 @@ import shutil
 import time
 import zipfile
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -36,11 +36,19 @@ class TrackWriter:
     Each part is one file with checksums, either complete or absent. (In one growing HDF5 file, truncation or a flipped
     bit could lose all frames or go unnoticed.) It also stores the tracker's state after its last frame, so that an
     interrupted run can continue from there. `fingerprint` identifies what the run depends on; parts of other runs are
-    discarded, and so are damaged parts with all that follow. Raises `OutputError` if a file cannot be written.
+    discarded, and so are damaged parts with all that follow. `check` is called before each part is written, and what
+    it raises keeps the part from being so. Raises `OutputError` if a file cannot be written.
     """
 
-    def __init__(self, path: str | Path, meta: dict[str, Any], fingerprint: str, resume: bool = False):
-        self.path = Path(path)
+    def __init__(
+        self,
+        path: str | Path,
+        meta: dict[str, Any],
+        fingerprint: str,
+        resume: bool = False,
+        check: Callable[[], None] = lambda: None,
+    ):
+        self.path, self._check = Path(path), check
         self.parts_folder = _parts_folder(self.path)
         self.meta = meta
         self._buffer: list[FrameFit] = []
@@ -78,6 +86,7 @@ class TrackWriter:
         """Store the frames so far as a part, with the state that the next frame depends on."""
         if not self._buffer:
             return
+        self._check()
         part = self._part(len(self._parts))
         with atomic_path(part) as temporary, temporary.open("wb") as stream:
             # Compressed only in the track itself, once.
