@@ -548,6 +548,12 @@ class TestPlacesThatCannotBeWritten:
             write_picture(tmp_path / f"a{suffix}", noise)
         assert list(tmp_path.iterdir()) == []
 
+    def test_an_array_that_finds_no_room_says_what_to_do(self, tmp_path):
+        refused = pytest.raises(OutputError, match="free some space and repeat")
+        with refused, small_disk(1000), atomic_path(tmp_path / "a.npy") as temporary:
+            np.save(temporary, np.zeros(1000))
+        assert list(tmp_path.iterdir()) == []
+
     @pytest.mark.parametrize("suffix", [*FORMATS, ".usda"])
     def test_an_export_to_a_full_disk_leaves_nothing(self, head, tmp_path, suffix):
         track = performance(head)

@@ -35,6 +35,8 @@ _REMEDIES = {
     errno.EEXIST: "a file is in the way; name another folder",
     errno.EISDIR: "a folder is in the way; name another file",
 }
+_CUT_SHORT = re.compile(r"\d+ requested and \d+ written")
+"""What NumPy says of an array that found no room; such an error has no number."""
 
 
 @contextmanager
@@ -174,4 +176,6 @@ def _untouched_s(path: Path) -> float:
 
 def _refused(path: str | Path, error: OSError | ValueError) -> OutputError:
     remedy = _REMEDIES.get(getattr(error, "errno", None) or 0, "name another place")
+    if _CUT_SHORT.search(str(error)):
+        remedy = "free some space and repeat, or name another place"
     return OutputError(f"{shortened(path)} cannot be written ({reason_of(error)}); {remedy}.")
