@@ -139,6 +139,15 @@ def test_what_would_be_lost_is_said_and_stays_until_it_is_opened_anyway(opener, 
     assert opener.anyway.layout.display == "none"
 
 
+def test_what_is_not_there_is_no_reason_to_ask(opener, tmp_path):
+    loaded(opener)
+    change_a_setting(opener)
+    opener.open_path(tmp_path / "nowhere.mp4")
+    opener.wait_idle()
+    assert "nowhere.mp4 does not exist" in opener.message.value
+    assert opener.anyway.layout.display == "none"
+
+
 def test_everything_that_would_be_lost_is_named(opener):
     loaded(opener)
     for work in (change_a_setting, keep_a_snapshot, begin_to_write):

@@ -460,6 +460,23 @@ def test_the_folder_of_a_run_is_tuned_on_as_its_track(track, tmp_path):
     assert open_session(tmp_path).config == QUICK
 
 
+def test_photos_beside_another_array_of_that_name_are_photos(tmp_path):
+    shutil.copy(sample("astronaut"), tmp_path)
+    np.savez(tmp_path / "track.npz", points=np.zeros(3))
+    assert open_session(tmp_path, landmarks=sample("astronaut-landmarks")).material.pictures.real
+
+
+def test_a_folder_of_photos_with_their_landmarks_is_no_run(track, tmp_path):
+    shutil.copy(sample("astronaut"), tmp_path)
+    track.save(tmp_path / "track.npz")
+    assert open_session(tmp_path, landmarks=sample("astronaut-landmarks")).material.inputs == (tmp_path,)
+
+
+def test_a_track_takes_no_other_landmarks(track, tmp_path):
+    with pytest.raises(InputError, match="A track has its own landmarks; open its pictures"):
+        open_session(track, landmarks=sample("astronaut-landmarks"))
+
+
 def test_a_track_of_another_model_is_not_opened_on_the_default_head(resized_track):
     with pytest.raises(InputError, match=r"fitted with the model resized; .* model=load_face_model\(FILE\)"):
         open_session(resized_track)
@@ -518,6 +535,24 @@ def test_settings_and_performances_name_the_pictures_that_were_opened(photo_sess
     assert track.meta["inputs"] == [{"path": str(photo), "sha256": opened}]
     with pytest.raises(InputError, match="The pictures of this track are no longer at"):
         pictures_of(track)
+
+
+def test_a_performance_names_what_was_opened_from_another_folder_too(head, tmp_path, monkeypatch):
+    shutil.copy(sample("astronaut"), tmp_path / "face.png")
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path)
+    session = open_session("face.png", landmarks=sample("astronaut-landmarks"), model=head, config=QUICK)
+    monkeypatch.chdir("other")
+    assert performance_track(session).meta["inputs"][0]["path"] == str(tmp_path / "face.png")
+
+
+def test_a_session_on_a_track_names_the_landmarks_that_were_tracked(head, tmp_path):
+    points = tmp_path / "points.csv"
+    shutil.copy(sample("astronaut-landmarks"), points)
+    tracked = run_track(sample("astronaut"), tmp_path / "out", head, QUICK, landmarks=points, pictures=False).track
+    points.write_bytes(points.read_bytes() + b"\n")
+    session = open_session(tracked, model=head)
+    assert session.material.landmark_source() == f"{points} sha256:{tracked.meta['landmarks']['sha256']}"
 
 
 def test_a_picture_that_could_not_be_read_for_a_while_is_shown_when_it_is_back(tmp_path):
@@ -689,7 +724,7 @@ def test_the_exported_file_says_where_it_comes_from(session, tmp_path):
 
 
 def test_an_export_leaves_a_file_that_it_did_not_write(session, head, clip, tmp_path):
-    other = TuningSession(head, replace(clip, name="other", inputs=(_short_clip(tmp_path),), hashes=None), QUICK)
+    other = TuningSession(head, replace(clip, name="other", inputs=(_short_clip(tmp_path),), opened=None), QUICK)
     path = other.export(tmp_path / "tuned.toml")
     before = path.read_bytes()
     with pytest.raises(

@@ -73,6 +73,12 @@ def landmark_file(meta: Mapping[str, Any]) -> Path | None:
     return None if named is None else place_now(named["path"], named.get("sha256", ""))
 
 
+def input_hashes(meta: Mapping[str, Any]) -> dict[Path, str]:
+    """SHA-256 of what a track was made from, by where that is now; empty where it is not known."""
+    named = filter(None, [*meta.get("inputs", []), meta.get("landmarks")])
+    return {place_now(item["path"], sha256 := item.get("sha256", "")): sha256 for item in named}
+
+
 def gone_pictures(meta: Mapping[str, Any], paths: Iterable[Path]) -> dict[Path, str]:
     """Those of a track's inputs that are no longer where they were, or others than they were, and how that is said."""
     hashes, told = _hashes(meta), {}

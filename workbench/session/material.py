@@ -2,8 +2,9 @@
 
 import os
 import threading
+import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from workbench.frames import Frame, Frames
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pipeline import is_landmark_file, open_source
-from workbench.reading import content_hash
+from workbench.session.opened_files import OpenedFiles
 from workbench.tracking import FrameObservation
 
 KEPT_BYTES = 256 << 20
@@ -111,12 +112,13 @@ class Material:
     """Frames per second of the pictures that a stored run was tracked on, which may be gone."""
     network: str | None = None
     """`deep.network` of a stored run of Deep Energies, whose landmarks are this network's answers; else None."""
-    hashes: Mapping[Path, str] | None = None
-    """SHA-256 of the inputs, the landmark file and the views as they were opened; None: as they are now."""
+    opened: OpenedFiles | None = None
+    """The inputs, the landmark file and the views as they were opened; None: as they are now."""
 
     def __post_init__(self) -> None:
-        if self.hashes is None:
-            object.__setattr__(self, "hashes", hashes_of([*self.inputs, *self.views.values(), self.landmark_file]))
+        if self.opened is None:
+            opened = OpenedFiles([*self.inputs, *self.views.values(), self.landmark_file])
+            object.__setattr__(self, "opened", opened)
 
     @property
     def rate(self) -> float | None:
@@ -142,29 +144,36 @@ class Material:
 
     def sources(self) -> list[str]:
         """Path and SHA-256 of each input, as it was opened."""
-        return [f"{path} sha256:{self.hashes[path]}" for path in self.inputs if path in self.hashes]
+        return [named for path in self.inputs if (named := self._named(path))]
 
     def landmark_source(self) -> str:
         """Path and SHA-256 of the landmark file; empty if the landmarks came from a detector."""
-        path = self.landmark_file
-        return f"{path} sha256:{self.hashes[path]}" if path in self.hashes else ""
+        return self._named(self.landmark_file)
 
-
-def hashes_of(paths: Iterable[Path | None]) -> dict[Path, str]:
-    """SHA-256 of what these files and folders hold now, of those that exist."""
-    return {path: content_hash(path) for path in paths if path is not None and path.exists()}
+    def _named(self, path: Path | None) -> str:
+        record = self.opened.record(path)
+        return f"{path} sha256:{record['sha256']}" if record else ""
 
 
 Progress = Callable[[str, int, int | None], None]
 Cancelled = Callable[[], bool]
 
 
-def stored_track(path: str | Path) -> Path | None:
-    """The file of the track that a path names, itself or by its run's folder; None where it names none."""
+def stored_track(path: str | Path, folders: bool = True) -> Path | None:
+    """The file of the track that a path names, itself or (with `folders`) by its run's folder; None for none."""
     path = Path(path)
     if path.suffix.lower() == ".npz":
         return path
-    return path / "track.npz" if os.path.isfile(path / "track.npz") else None
+    return path / "track.npz" if folders and _is_track(path / "track.npz") else None
+
+
+def _is_track(path: Path) -> bool:
+    """Whether a file looks like a track, and not like other arrays beside photos."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "meta.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 def load_material(
@@ -190,7 +199,7 @@ def load_material(
         )
     file = None if landmarks is None else Path(landmarks)
     source = open_source(paths, config, file)
-    hashes = hashes_of([*paths, file])
+    opened = OpenedFiles([*paths, file])
     stills = stills or source.single_picture
     found = []
     for observation in source.observations(0, {}, stills):
@@ -204,7 +213,7 @@ def load_material(
     frames = None if is_landmark_file(paths[0]) else source.frames
     sizes = [observation.image_size for observation in found]
     name, store = source.frames.name, PictureStore(frames, sizes)
-    return Material(name, tuple(found), store, stills, tuple(paths), file, hashes=hashes)
+    return Material(name, tuple(found), store, stills, tuple(paths), file, opened=opened)
 
 
 def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:

@@ -29,12 +29,12 @@ def performance_track(
         return None
     run = Run(config, Track(meta={}, **stack_fits(list(fits))), ())
     track = described_track(run, session.model, material.stills)
-    opened = {path: {"path": str(path.absolute()), "sha256": digest} for path, digest in material.hashes.items()}
-    views = {name: path for name, path in material.views.items() if path in opened}
+    record = material.opened.record
+    views = {name: found for name, path in material.views.items() if (found := record(path))}
     meta = {
-        "inputs": [opened[path] for path in (*material.inputs, *views.values()) if path in opened],
-        "views": {name: str(path.absolute()) for name, path in views.items()},
-        "landmarks": opened.get(material.landmark_file),
+        "inputs": [*filter(None, map(record, material.inputs)), *views.values()],
+        "views": {name: found["path"] for name, found in views.items()},
+        "landmarks": record(material.landmark_file),
         "frames": None if material.part is None else list(material.part),
         "rate": material.rate,
         "versions": software_versions(),

@@ -6,10 +6,18 @@ from typing import Any
 
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
-from workbench.export.sources import gone_pictures, landmark_file, reference_inputs, tracked_part, view_clips
+from workbench.export.sources import (
+    gone_pictures,
+    input_hashes,
+    landmark_file,
+    reference_inputs,
+    tracked_part,
+    view_clips,
+)
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
 from workbench.session.material import Material, PictureStore
+from workbench.session.opened_files import OpenedFiles
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.records import SOURCES
 
@@ -42,19 +50,21 @@ def material_of_track(track: Track) -> Material:
     sizes = [observation.image_size for observation in observations]
     name = inputs[0].stem if inputs else "track"
     stills = bool(track.meta.get("stills", False))
-    part = track.meta.get("frames")
+    part, landmarks = track.meta.get("frames"), landmark_file(track.meta)
+    opened = OpenedFiles([*inputs, *views.values(), landmarks], input_hashes(track.meta))
     return Material(
         name,
         tuple(observations),
         PictureStore(frames, sizes),
         stills,
         () if gone.keys() & set(inputs) else inputs,
-        landmark_file(track.meta),
+        landmarks,
         None if part is None else tuple(part),
         {view: A_CLIP if path in gone else path for view, path in views.items()},
         _moved(config),
         track.meta.get("rate"),
         config.deep.network if config is not None and config.traits.renders else None,
+        opened,
     )
 
 

@@ -342,19 +342,22 @@ def open_session(
 
     `config` is a configuration or the name of a preset; a track has its own. `progress` and `seen` are as for
     `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read, and `InputError` for a track
-    of another model than the default head without `model`.
+    of another model than the default head without `model`, or with `landmarks`.
     """
     if isinstance(config, str):
         config = preset(config)
     if isinstance(inputs, Material):
         return TuningSession(model, inputs, config)
-    if isinstance(inputs, str | Path) and (stored := stored_track(inputs)) is not None:
+    photos = landmarks is not None or stills  # of a folder, whatever else is in it
+    if isinstance(inputs, str | Path) and (stored := stored_track(inputs, folders=not photos)) is not None:
         inputs = workbench.tracking.Track.load(stored)
     if isinstance(inputs, str | Path | Sequence):
         config = config or preset(DEFAULT_PRESET)
         return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)
     from workbench.session.stored_material import check_default_head, material_of_track  # here: clips do without it
 
+    if landmarks is not None:
+        raise InputError("A track has its own landmarks; open its pictures to give them others.")
     if model is None:
         check_default_head(inputs.meta)
     return TuningSession(model, material_of_track(inputs), config or config_of_track(inputs.meta))

@@ -1,6 +1,7 @@
 """A chooser of material to tune on: samples or a typed path; the panel appears below it."""
 
 import html
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -136,15 +137,15 @@ class SessionOpener(widgets.VBox):
         self._asked = wanted
         self.anyway.layout.display = self.stay.layout.display = "none" if wanted is None else None
         if wanted is not None:
-            self.anyway.description = f"open {wanted.path.name} anyway"
+            self.anyway.description = f"open {_name(wanted)} anyway"
 
     # --- in the worker's thread ---
 
     def _open(self, wanted: Wanted) -> None:
         self._ask(None)
-        if self._loses_work(wanted):
+        if os.path.exists(wanted.path) and self._loses_work(wanted):  # what is not there closes nothing
             return
-        self._say(f"Opening {wanted.path.name} …")
+        self._say(f"Opening {_name(wanted)} …")
         try:
             session = self._session_of(wanted)
         except _SupersededError:
@@ -165,7 +166,7 @@ class SessionOpener(widgets.VBox):
             self._rest()
             losing = " and ".join(filter(None, [", ".join(lost[:-1]), lost[-1]]))
             name = self.session.material.name
-            self._say(f"Opening {wanted.path.name} would close {name} and lose {losing}.", wrong=True)
+            self._say(f"Opening {_name(wanted)} would close {name} and lose {losing}.", wrong=True)
             self._ask(wanted)
         return bool(lost)
 
@@ -213,6 +214,10 @@ def lost_work(session: TuningSession, panel: widgets.Widget) -> list[str]:
         *([_counted(len(session.snapshots), "snapshot")] if session.snapshots else []),
         *(["the file that is being written"] if exports is not None and exports.writing else []),
     ]
+
+
+def _name(wanted: Wanted) -> str:
+    return wanted.path.absolute().name
 
 
 def _counted(number: int, what: str) -> str:
