@@ -406,6 +406,25 @@ def test_what_a_call_drew_goes_with_the_table_that_it_could_not_write(
     assert run("landmarks", inputs, "--out", "l.csv")[0] == 0
 
 
+@pytest.mark.usefixtures("detector", "photos", "film")
+@pytest.mark.parametrize(
+    ("inputs", "drawn", "place", "happens"),
+    [
+        ("photos", "l", "tests.test_cli_landmarks.BrightSquares.align", stop_at_the_last),
+        ("film.mp4", "l.mp4", "pathlib.Path.replace", no_table),
+    ],
+)
+def test_what_an_earlier_call_drew_stays_where_a_later_one_fails(
+    run, tmp_path, monkeypatch, inputs, drawn, place, happens
+):
+    assert run("landmarks", inputs, "--out", "l.csv")[0] == 0
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setattr(place, happens)
+    assert run("landmarks", inputs, "--out", "l.csv", "--overwrite")[0] in (2, 130)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / drawn).exists()
+
+
 # --- with the real detectors ---
 
 PORTRAIT_TOLERANCE = 0.08

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from tests.killed_runs import make_fit
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
-from workbench.config import preset
+from workbench.config import preset, read_config
 from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.frames import VideoWriter
 from workbench.geometry import write_rig
@@ -28,7 +28,8 @@ from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
 from workbench.pipeline.deep_run import ShownFrames
 from workbench.pipeline.deep_sources import open_deep_source
 from workbench.samples import sample
-from workbench.session import open_session
+from workbench.session import material_of_track, observed_frames, open_session
+from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FrameObservation, Track
 from workbench.workers import Failed, workers_for
 
@@ -85,6 +86,19 @@ def test_a_run_that_is_worked_on_in_a_session_gives_its_own_numbers(run, head):
     again = session.track
     for name in ("observed", "rotation", "translation", "expression", "jaw", "identity"):
         np.testing.assert_allclose(getattr(again, name), getattr(run.track, name), rtol=0, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(("other", "looks"), [("own.safetensors", False), ("another.safetensors", True)])
+def test_a_session_looks_anew_only_for_another_network_than_the_runs(run, head, tmp_path, monkeypatch, other, looks):
+    """By which name a file is called does not matter."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(observed_frames, "energy_network", lambda name: name)
+    asked = []
+    monkeypatch.setattr(observed_frames, "photo_landmarks", lambda name, _, seen: asked.append(name) or seen)
+    material = replace(material_of_track(run.track), network=str(tmp_path / "own.safetensors"))
+    config = preset("deep").changed(deep={"network": other})
+    ObservedFrames(material).observation(0, config)
+    assert bool(asked) == looks
 
 
 def test_the_pose_is_close_to_the_clip_s_truth(run):
@@ -289,6 +303,18 @@ def test_the_rig_of_a_folder_that_was_moved_is_found_in_it(project, tmp_path, mo
     assert refined("rg").exit_code == 0
 
 
+def test_the_configuration_of_a_folder_that_was_moved_is_run_in_it(project, tmp_path, monkeypatch):
+    shutil.copytree(project, tmp_path / "moved")
+    monkeypatch.chdir(tmp_path / "moved")
+    assert read_config("rg/config.toml").camera.rig == "rig.toml"
+
+
+def test_a_new_track_names_its_rig_so_that_it_is_found_from_every_folder(project, tmp_path, monkeypatch):
+    monkeypatch.chdir(shutil.copytree(project, tmp_path / "moved"))
+    assert refined("rg").exit_code == 0
+    assert read_config("rg-refine/config.toml").camera.rig == str(tmp_path / "moved" / "rig.toml")
+
+
 def test_a_run_that_was_begun_with_a_rig_by_another_name_of_it_goes_on(project, head, monkeypatch):
     monkeypatch.chdir(project)
     config = preset("deep-points").changed(camera={"rig": "rig.toml"}, identity={"calibrate": False})
@@ -305,18 +331,6 @@ def test_a_rig_that_is_edited_while_a_run_reads_it_ends_the_run(project, head, t
             project / "middle.csv", tmp_path / "new", head, config, **options,
             progress=lambda *_: write_rig(make_rig((-15.0, 16.0)), rig),
         )  # fmt: skip
-
-
-@pytest.mark.parametrize("option", ["--network", "--face-landmarker"])
-def test_other_files_of_a_run_have_names_that_hold_from_every_folder(option, tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr("workbench.cli.tracking._run", lambda *given, **_: asked.append(given[2]))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own.task").write_bytes(b"weights")
-    command = ["track", "clip.mp4", "--preset", "deep", "--detector", "mediapipe", option, "own.task"]
-    assert CliRunner().invoke(app, command).exit_code == 0
-    (config,) = asked
-    assert str(tmp_path / "own.task") in (config.deep.network, config.landmarks.face_landmarker)
 
 
 def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):

@@ -340,7 +340,9 @@ def test_stored_landmarks_stand_in_for_a_detector(head, tmp_path):
     assert picture.std() > 10
 
 
-def test_stills_get_a_picture_each_and_their_names(head, tmp_path):
+@pytest.fixture
+def two_photos(head, tmp_path):
+    """Arguments of a run of two photos with their landmarks."""
     folder = tmp_path / "photos"
     folder.mkdir()
     scenes = [make_scene(head, (yaw, 0, 0)) for yaw in (-10, 20)]
@@ -348,11 +350,27 @@ def test_stills_get_a_picture_each_and_their_names(head, tmp_path):
         for index, scene in enumerate(scenes):
             cv2.imwrite(str(folder / f"photo{index}.png"), np.full((480, 640, 3), 90, np.uint8))
             writer.write(LandmarkRecord(index, "", Landmarks2D(scene.points, np.ones(68), (640, 480)), None))
-    out = tmp_path / "out"
-    result = track(folder, out, head, preset("calibrated"), landmarks=tmp_path / "points.csv", stills=True)
-    assert sorted(path.name for path in (out / "overlay").iterdir()) == ["0000-photo0.jpg", "0001-photo1.jpg"]
+    given = {"landmarks": tmp_path / "points.csv", "stills": True}
+    return {"inputs": folder, "folder": tmp_path / "out", "model": head, "config": preset("calibrated"), **given}
+
+
+def drawn(folder):
+    return sorted(path.name for path in (folder / "overlay").iterdir())
+
+
+def test_stills_get_a_picture_each_and_their_names(two_photos):
+    result = track(**two_photos)
+    assert drawn(result.folder) == ["0000-photo0.jpg", "0001-photo1.jpg"]
     assert result.track.meta["names"] == ["photo0.png", "photo1.png"]
     assert list(result.track.shot) == [0, 1]
+
+
+def test_pictures_of_finished_stills_stay_where_a_repetition_ends_early(two_photos):
+    finished, points = track(**two_photos), two_photos["landmarks"]
+    other = points.read_text() + "\n"
+    with pytest.raises(InputError, match="was changed while this run read it"):
+        track(**two_photos, overwrite=True, progress=lambda *_: points.write_text(other))
+    assert drawn(finished.folder) == ["0000-photo0.jpg", "0001-photo1.jpg"]
 
 
 class NoFaces:

@@ -138,7 +138,7 @@ def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | N
     files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
     with _kept_together(drawn) as made, files.LandmarkCsvWriter(out, scheme=source.scheme) as table:
         with ExitStack() as opened:
-            film = None
+            film, new_film = None, drawn is not None and not drawn.exists()
             if drawn is not None and source.frames.kind == "video":
                 rate = source.frames.rate or RATE_WITHOUT_CLOCK
                 film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
@@ -149,18 +149,19 @@ def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | N
                     film.write(draw(frame.picture, points, frame.name))
                 elif drawn is not None:
                     path = drawn / _picture_name(frame)
+                    new = not path.exists()
                     workbench.frames.write_picture(path, draw(frame.picture, points, frame.name))
-                    made.append(path)
+                    made += [path] if new else []
                 found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
                 progress("landmarks", len(found), source.count)
-        if film is not None:
+        if film is not None and new_film:
             made.append(film.path)
     return found
 
 
 @contextmanager
 def _kept_together(drawn: Path | None) -> Iterator[list[Path]]:
-    """A list for what is drawn beside the table: if that is not written, these are removed, and their new folder."""
+    """A list for what is newly drawn beside the table: if that is not written, it is removed, and its new folder."""
     made: list[Path] = []
     new = drawn is not None and not drawn.exists()
     try:

@@ -188,10 +188,8 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         if base.camera.matrix is not None:
             camera["distortion"] = []  # of the measured lens
     if rig is not None:
-        camera["rig"] = lasting_file(rig)
-    deep = {} if energy is None else {"energy": energy}
-    if network is not None:
-        deep["network"] = lasting_file(network)
+        camera["rig"] = str(rig)
+    deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
     if deep and not base.traits.reads("deep"):
         raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
     changes = {
@@ -245,13 +243,7 @@ def with_landmarker(config: Config, path: Path) -> Config:
     """The configuration with the file of `--face-landmarker`; raises `ConfigError` where no detector reads it."""
     if config.landmarks.detector != "mediapipe":
         raise ConfigError("--face-landmarker belongs to the detector mediapipe; add --detector mediapipe.")
-    return config.changed(landmarks={"face_landmarker": lasting_file(path)})
-
-
-def lasting_file(name: str | Path) -> str:
-    """The name of a file that holds from every folder; what comes along, called by a word, and no file as they are."""
-    path = Path(name)
-    return str(path.absolute()) if path.suffix and path.is_file() else str(name)
+    return config.changed(landmarks={"face_landmarker": str(path)})
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:

@@ -72,7 +72,7 @@ def _with_its_files(config: Config, meta: Mapping[str, Any]) -> Config:
         same = next((item for item in left if Path(item["path"]).name == name), None)
         if same is not None:
             left.remove(same)
-            places[section] = {key: str(place_now(same["path"], same.get("sha256", "")))}
+            places[section] = {key: str(place_now(same["path"], same.get("sha256", "")).absolute())}
     return config.changed(**places) if places else config
 
 

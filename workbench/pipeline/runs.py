@@ -105,13 +105,14 @@ def track(
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
     job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or silent)
     with run_folder(job.folder, files, resume, overwrite):
+        watched = WatchedFiles([*_named_paths(config), *_points_in([*paths, *views.values()], landmarks)])
         if config.traits.renders:
             source = open_deep_source(paths, config, landmarks, frames, views)
         else:
             source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
         stills = stills or source.single_picture
         job = replace(job, model=in_scheme(model, source.scheme))
-        watched = _watched([*paths, *views.values()], landmarks, config, source.views)
+        watched.add(_pictures_of(source.views))
         meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
         meta["views"] = {name: str(path.absolute()) for name, path in views.items()}
@@ -306,11 +307,12 @@ def retrack(
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
+    watched = WatchedFiles([reader.path, *_named_paths(config)])
     opened = views_of(reader.meta, config, clip, views, look_at_pictures(config, steps), pictures)
+    watched.add(_pictures_of(opened))
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, resume=False, overwrite=overwrite, resumable=False):
         began = time.perf_counter()
-        watched = WatchedFiles([reader.path, *_pictures_of(opened), *_named_paths(config)])
         of_track = {name: value for name, value in reader.meta.items() if name != "files"}
         meta = {**of_track, "track": file_record(reader.path), **_named_files(config)}
         writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader), watched)
@@ -480,14 +482,10 @@ def _named_paths(config: Config) -> list[Path]:
     return [path for path in named if path.suffix and path.is_file()]
 
 
-def _watched(inputs: Sequence[Path], landmarks: Path | None, config: Config, views: Sequence[Frames]) -> WatchedFiles:
-    """What a run reads: pictures and landmarks, and the files that a configuration names.
-
-    Of a folder nothing else counts: what is written into it meanwhile is no input.
-    """
+def _points_in(inputs: Sequence[Path], landmarks: Path | None) -> list[Path]:
+    """The landmark files of a run; of a folder of .pts files these alone: what else comes into it is no input."""
     given = [*filter(is_landmark_file, inputs), *_given(landmarks)]
-    points = [file for path in given for file in (_pts_in(path) if path.is_dir() else [path])]
-    return WatchedFiles([*_pictures_of(views), *points, *_named_paths(config)])
+    return [file for path in given for file in (_pts_in(path) if path.is_dir() else [path])]
 
 
 def _pts_in(folder: Path) -> list[Path]:

@@ -46,7 +46,7 @@ class StillPictures:
         return tuple(path for path in paths if path.exists())
 
     def discard(self) -> None:
-        """Remove the pictures that were drawn, and their folder where nothing else is in it."""
+        """Remove the pictures that no earlier run had drawn, and their folder where nothing else is in it."""
         for path in self._made:
             path.unlink(missing_ok=True)
         with suppress(OSError):  # not empty, or never made
@@ -60,8 +60,9 @@ class StillPictures:
         picture = self._picture(fit) if picture is None else picture
         if picture is not None:
             path = self._path(fit.index)
+            if not path.exists():
+                self._made.add(path)
             self._pictures.add(path, picture, fit)
-            self._made.add(path)
 
     def _picture(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"] | None:
         if not self._source.views:

@@ -12,7 +12,12 @@ class WatchedFiles:
     """Files as they are when a run begins."""
 
     def __init__(self, files: Iterable[Path]) -> None:
-        self._seen = {path: (_state(path), content_hash(path)) for path in files}
+        self._seen: dict[Path, tuple[tuple[int, int, int] | None, str]] = {}
+        self.add(files)
+
+    def add(self, files: Iterable[Path]) -> None:
+        """Watch these too."""
+        self._seen |= {path: (_state(path), content_hash(path)) for path in files}
 
     def check(self) -> None:
         """Raise `InputError` where a file holds something else by now.

@@ -1,6 +1,7 @@
 """The observations for a fit: detections with manual corrections, or landmarks from the energy's own network."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from workbench.config import Config
 from workbench.landmarks.observations import Landmarks2D
@@ -42,8 +43,13 @@ class ObservedFrames:
         picture, key = pictures[frame], (frame, config.deep.network)
         if key not in self._targets:
             seen = observation.landmarks
-            if config.deep.network != self._material.network:
+            if not _same_network(config.deep.network, self._material.network):
                 seen = photo_landmarks(energy_network(config.deep.network), picture, seen)
             self._targets[key] = seen, seen_around(picture, seen)
         landmarks, around = self._targets[key]
         return replace(observation, landmarks=landmarks, surroundings=(around,), picture=picture if pictured else None)
+
+
+def _same_network(one: str, other: str | None) -> bool:
+    """Whether two names of `deep.network` mean one network: words, or files under whatever name."""
+    return other is not None and (one == other or Path(one).absolute() == Path(other).absolute())
