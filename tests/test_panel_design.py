@@ -801,6 +801,27 @@ def test_settings_are_saved_as_they_are_and_where_it_was_said_at_the_click(panel
     assert read_config(tmp_path / "mine.toml").weights.tau == 1.0
 
 
+@pytest.mark.parametrize("late", ["waiting", "fitting"])
+@pytest.mark.parametrize("shown", ["mine.toml", "next.toml"])
+def test_a_file_that_appears_before_settings_are_saved_is_kept_and_the_choice_offered(panel, tmp_path, late, shown):
+    jobs, taken = [], tmp_path / "mine.toml"
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(taken)
+    panel.session.set(weights={"tau": 0.81 if shown == "mine.toml" else 0.82})
+    bar.export.click()
+    bar.file.value = str(tmp_path / shown)
+    if late == "waiting":
+        taken.write_text("kept")
+    else:
+        bar.exported.observe(lambda _change: taken.write_text("kept"), "value")
+    jobs[0]()
+    assert taken.read_text() == "kept"
+    free = "clip-tuned.toml" if shown == "mine.toml" else shown
+    assert bar.exported.value == f"mine.toml exists already: pressing save again writes {free}."
+    assert bar.path == tmp_path / free
+    assert (bar.overwrite.description, bar.overwrite.layout.display) == ("overwrite mine.toml", None)
+
+
 def test_settings_that_wait_to_be_saved_say_so_and_can_be_cancelled(panel, tmp_path):
     jobs = []
     bar = ExportBar(panel.session, jobs.append, panel.page.download)

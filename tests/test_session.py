@@ -755,6 +755,21 @@ def test_an_export_leaves_its_own_file_once_it_was_edited(session, tmp_path):
     assert file.read_text(encoding="utf-8") == edited
 
 
+def test_an_export_leaves_its_own_file_where_it_was_edited_during_the_fits(session, tmp_path):
+    file = session.export(tmp_path / "tuned.toml")
+    session.set(weights={"tau": 3.0})
+    with pytest.raises(InputError, match=r"tuned\.toml exists already"):
+        session.export(file, lambda *_: file.write_text("mine"))
+    assert file.read_text() == "mine"
+
+
+def test_an_export_replaces_when_told_what_appears_during_the_fits(session, tmp_path):
+    file = tmp_path / "tuned.toml"
+    session.set(weights={"tau": 3.0})
+    session.export(file, lambda *_: file.write_text("mine"), overwrite=True)
+    assert read_config(file).weights.tau == 3.0
+
+
 def test_of_two_sessions_none_replaces_unasked_what_the_other_saved(session, head, clip, tmp_path):
     file, other = session.export(tmp_path / "shared.toml"), TuningSession(head, clip, QUICK)
     other.set(weights={"tau": 7.0})

@@ -13,6 +13,10 @@ from workbench.reading import content_hash
 from workbench.session.material import Material
 
 
+class TakenError(InputError):
+    """A configuration's file that exists and was not written by this session, or was changed since."""
+
+
 class Exports:
     """Writes configurations tuned on a material. Only files that are as it wrote them are overwritten unasked."""
 
@@ -30,9 +34,9 @@ class Exports:
             return False
 
     def check(self, path: Path, overwrite: bool) -> None:
-        """Raises `InputError` if the file exists, unless it is as written here or `overwrite` is set."""
+        """Raises `TakenError` if the file exists, unless it is as written here or `overwrite` is set."""
         if not overwrite and not self.may_write(path):
-            raise InputError(taken_text(path, self._material.name))
+            raise TakenError(taken_text(path, self._material.name))
 
     def write(
         self, path: Path, config: Config, base: Config, before: dict[str, float], after: dict[str, float]

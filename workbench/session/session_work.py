@@ -60,16 +60,22 @@ class SessionWork:
         """A run as a track with its metadata."""
         return described_track(run, self.model, self._material.stills)
 
-    def export(self, path: Path, config: Config, base: Config, progress: Progress | None, cancelled: Cancelled) -> bool:
+    def export(
+        self, path: Path, config: Config, base: Config, overwrite: bool, progress: Progress | None, cancelled: Cancelled
+    ) -> bool:
         """Write a configuration with the metrics of its fits and of those of the configuration it was tuned from.
 
-        Infill and refinement count in both. False, and nothing is written, if cancelled.
+        Infill and refinement count in both. False, and nothing is written, if cancelled. Raises `TakenError` for a file
+        that exists, before or after the fits, unless it is as written here or `overwrite` is set.
         """
+        self.exports.check(path, overwrite)
         fits = before = self.temporal.fits_by(config, progress, cancelled)
         if fits is not None and time_key(base) != time_key(config):
             run = self.runs.aside(base, progress, cancelled)
             before = None if run is None else self.temporal.after_run(run, progress, cancelled)
         if before is None or cancelled():
             return False
-        self.exports.write(path, config, base, metrics_of(before), metrics_of(fits))
+        metrics = metrics_of(before), metrics_of(fits)
+        self.exports.check(path, overwrite)  # another program may have written it during the fits
+        self.exports.write(path, config, base, *metrics)
         return True

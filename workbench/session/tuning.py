@@ -295,8 +295,7 @@ class TuningSession:
         and for a file that exists, unless it is as this session wrote it or `overwrite` is set.
         """
         path, config = Path(path), config or self.config
-        self._work.exports.check(path, overwrite)
-        if not self._work.export(path, config, self.base, progress, cancelled):
+        if not self._work.export(path, config, self.base, overwrite, progress, cancelled):
             raise InputError(f"The export was cancelled; {path} was not written.")
         self._tuned.exported = config
         self.tell("export")

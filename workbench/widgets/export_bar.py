@@ -10,7 +10,7 @@ import ipywidgets as widgets
 
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
-from workbench.session.exports import exported_for, free_file
+from workbench.session.exports import TakenError, exported_for, free_file
 from workbench.session.material import Cancelled
 from workbench.widgets.controls import small_button
 from workbench.widgets.download import Download
@@ -73,14 +73,15 @@ class ExportBar:
             self._offer(path)
 
     def _offer(self, taken: Path) -> None:
-        """Offer the choice between a free name, filled into the field, and the existing file."""
-        free = free_file(taken.parent, self._session.material.name)
+        """Offer the choice between a free name, filled into the field unless it names another file, and this one."""
         whose = exported_for(taken)
-        self._taken, self.file.value = taken, str(free)
+        if self.path == taken:
+            self.file.value = str(free_file(taken.parent, self._session.material.name))
+        self._taken = taken
         self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
         self.exported.value = html.escape(
             f"{taken.name} exists already{f', exported for {whose}' if whose else ''}: "
-            f"pressing save again writes {free.name}."
+            f"pressing save again writes {self.path.name}."
         )
 
     def _on_overwrite(self) -> None:
@@ -103,6 +104,9 @@ class ExportBar:
 
         try:
             self._session.export(path, progress, cancelled, request.overwrite, config)
+        except TakenError:
+            self._offer(path)
+            return
         except (WorkbenchError, OSError):
             self.exported.value = ""
             raise
