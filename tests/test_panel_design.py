@@ -723,7 +723,7 @@ def queued(panel, tmp_path):
     return export_of(panel, tmp_path, jobs.append), jobs
 
 
-@pytest.mark.parametrize(("name", "fps"), [("there.glb/talk.glb", ""), ("talk.glb", "nan")])
+@pytest.mark.parametrize(("name", "fps"), [("there.glb/talk.glb", ""), ("/proc/new/talk.glb", ""), ("talk.glb", "nan")])
 def test_what_cannot_be_exported_is_refused_by_the_click_and_nothing_is_fitted(queued, tmp_path, name, fps):
     export, jobs = queued
     (tmp_path / "there.glb").write_text("kept")
@@ -786,6 +786,47 @@ def test_what_an_export_that_waited_finds_in_its_way_is_kept(queued, tmp_path):
     jobs[0]()
     assert "exists already" in export.said.value
     assert (tmp_path / "talk.glb").read_text() == "kept"
+
+
+def test_what_an_export_finds_in_its_way_once_it_is_fitted_is_kept(export, tmp_path, monkeypatch):
+    def late(*arguments):
+        (tmp_path / "talk.glb").write_text("kept")
+        return performance_track(*arguments)
+
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", late)
+    export.go.click()
+    assert "exists already" in export.said.value
+    assert (tmp_path / "talk.glb").read_text() == "kept"
+
+
+@pytest.mark.parametrize("cancel", [False, True], ids=["written", "cancelled"])
+def test_an_export_makes_its_folders_only_when_it_is_written(queued, tmp_path, cancel):
+    export, jobs = queued
+    export.file.value = str(tmp_path / "new" / "deep" / "talk.glb")
+    export.go.click()
+    assert list(tmp_path.iterdir()) == []
+    if cancel:
+        export.cancel.click()
+    jobs[0]()
+    assert (tmp_path / "new" / "deep" / "talk.glb").exists() is not cancel
+    assert (tmp_path / "new").exists() is not cancel
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("/proc/new/mine.toml", "/proc/new/mine.toml cannot be written"),
+        ("link.toml", "link.toml is a link to nothing; remove it or name another file."),
+    ],
+)
+def test_settings_that_cannot_be_written_are_refused_by_the_click(panel, tmp_path, name, said):
+    jobs = []
+    (tmp_path / "link.toml").symlink_to("nowhere")
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(tmp_path / name)
+    bar.export.click()
+    assert said in bar.exported.value
+    assert jobs == []
 
 
 def test_settings_are_saved_as_they_are_and_where_it_was_said_at_the_click(panel, tmp_path):

@@ -50,9 +50,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     check_target(target)
     make_folder(target.parent)
     with writing(target):
-        place = Path(os.path.realpath(target)) if target.is_symlink() else target
-        prefix = f".{place.stem[:_LONGEST_STEM]}{PARTIAL}"
-        handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix, suffix=target.suffix)
+        place = _pointed_to(target)
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=_partial_prefix(place), suffix=target.suffix)
         os.close(handle)
     temporary = Path(name)
     try:
@@ -116,6 +115,27 @@ def check_target(path: str | Path) -> None:
         raise OutputError(f"{path} is a folder and cannot be written as a file; name another file.")
     if not stat.S_ISREG(status.st_mode):
         raise OutputError(f"{path} is a pipe or device and cannot be written as a file; name another file.")
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise `OutputError` as `check_target`, and where its folder, or the nearest that exists above, takes no files.
+
+    A temporary file is made there and removed; no folder is made.
+    """
+    check_target(path)
+    with writing(path):
+        place = _pointed_to(Path(path))
+        folder = next(filter(os.path.lexists, place.parents), place.parent)
+        with tempfile.TemporaryFile(dir=folder, prefix=_partial_prefix(place)):
+            pass
+
+
+def _pointed_to(path: Path) -> Path:
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def _partial_prefix(path: Path) -> str:
+    return f".{path.stem[:_LONGEST_STEM]}{PARTIAL}"
 
 
 def check_new(path: Path, remedy: str = "name another (--out), or add --overwrite") -> None:

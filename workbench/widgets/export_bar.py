@@ -8,13 +8,15 @@ from pathlib import Path
 
 import ipywidgets as widgets
 
-from workbench.errors import WorkbenchError
+from workbench.errors import OutputError, WorkbenchError
+from workbench.files import check_writable
 from workbench.session import TuningSession
 from workbench.session.exports import TakenError, exported_for, free_file
 from workbench.session.material import Cancelled
 from workbench.widgets.controls import small_button
 from workbench.widgets.download import Download
 from workbench.widgets.export_requests import ExportRequest, ExportRequests
+from workbench.widgets.status_line import error_text
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,11 @@ class ExportBar:
     def _ask(self, path: Path, overwrite: bool = False) -> None:
         self.download.offer(None)
         self.overwrite.layout.display = "none"
+        try:
+            check_writable(path)
+        except OutputError as error:
+            self.exported.value = html.escape(error_text(error))
+            return
         self.exported.value = f"waiting to write {html.escape(path.name)} …"
         self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
 

@@ -13,7 +13,7 @@ from workbench.export.clip import check_rate
 from workbench.export.suffixes import DRESSED, FORMATS, format_of, pictures_folder, place_of
 from workbench.face import character_names, dressed_as
 from workbench.face.characters import PLAIN
-from workbench.files import check_new, check_target, make_folder
+from workbench.files import check_new, check_writable
 from workbench.session import TuningSession
 from workbench.session.material import Cancelled
 from workbench.session.performance import performance_commands, performance_track
@@ -41,11 +41,11 @@ class PerformanceRequest(ExportRequest):
     character: str | None
 
     def check_free(self) -> None:
-        """Raise `OutputError` where something is in the way of what is written."""
+        """Raise `OutputError` where something is in the way of what is written, or the place cannot be written to."""
         pictures = self.character is not None and format_of(self.path) == ".usd"
         for place in [place_of(self.path), *([pictures_folder(self.path)] if pictures else [])]:
             check_new(place, "name another file, or move that one away")
-            check_target(place)
+            check_writable(place)
 
 
 class PerformanceExport:
@@ -165,7 +165,6 @@ class PerformanceExport:
         character = self.character.value if self._dressed else None
         request = PerformanceRequest(path, self._session.config, shot, rate, character)
         request.check_free()
-        make_folder(path.parent)
         return request
 
     def _write(self, request: PerformanceRequest, cancelled: Cancelled) -> None:
@@ -195,6 +194,7 @@ class PerformanceExport:
         if track is None:
             raise _CancelledError
         dressed = None if request.character is None else dressed_as(request.character, session.model)
+        request.check_free()  # … or while it was fitted
         done = export_track(
             track, session.model, request.path, shot=request.shot, rate=request.rate, dressed=dressed, progress=told
         )
