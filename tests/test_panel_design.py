@@ -34,6 +34,7 @@ from workbench.widgets.overlay_view import OverlayView
 from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
 from workbench.widgets.shared_scale import SharedScale
+from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import degrees, status_of
 from workbench.widgets.timeline_view import TimelineView
 from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
@@ -723,7 +724,7 @@ def queued(panel, tmp_path):
     return export_of(panel, tmp_path, jobs.append), jobs
 
 
-@pytest.mark.parametrize(("name", "fps"), [("there.glb/talk.glb", ""), ("/proc/new/talk.glb", ""), ("talk.glb", "nan")])
+@pytest.mark.parametrize(("name", "fps"), [("there.glb/talk.glb", ""), ("/proc/talk.glb", ""), ("talk.glb", "nan")])
 def test_what_cannot_be_exported_is_refused_by_the_click_and_nothing_is_fitted(queued, tmp_path, name, fps):
     export, jobs = queued
     (tmp_path / "there.glb").write_text("kept")
@@ -777,6 +778,136 @@ def test_an_export_that_is_asked_for_twice_is_written_once(queued):
     export.go.click()
     export.go.click()
     assert len(jobs) == 1
+
+
+def test_an_export_that_is_asked_for_twice_still_waits_or_is_written_as_it_said(queued, tmp_path):
+    export, _ = queued
+    export.go.click()
+    export.said.say("fit 3 of 9 …")
+    export.download.offer(tmp_path)
+    export.go.click()
+    assert "fit 3 of 9 …" in export.said.value
+    assert export.download.layout.display is None
+
+
+def test_a_refused_export_is_told_once_however_often_it_is_asked_for(queued, tmp_path):
+    export, _ = queued
+    export.go.click()
+    (tmp_path / "there.glb").write_text("kept")
+    export.file.value = str(tmp_path / "there.glb")
+    export.go.click()
+    export.go.click()
+    assert export.said.value.count("exists already") == 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".arkit.csv", ".npz", ".glb"])
+def test_an_export_that_is_cancelled_once_it_is_fitted_is_not_written(export, tmp_path, monkeypatch, suffix):
+    def fitted(*arguments):
+        track = performance_track(*arguments)
+        export.cancel.click()
+        return track
+
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", fitted)
+    export.format.value = suffix
+    export.go.click()
+    assert "Cancelled" in export.said.value
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_cancelled_while_it_is_written_counts_as_being_written_until_it_ends(export, monkeypatch):
+    during = []
+
+    def cancelling(*_):
+        export.cancel.click()
+        during.append((export.busy, export.cancel.layout.display, export.cancel.disabled))
+
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", cancelling)
+    export.go.click()
+    assert during == [(True, None, True)]
+    assert (export.busy, export.cancel.layout.display) == (False, "none")
+
+
+def test_what_was_cancelled_while_it_was_written_can_be_asked_for_again(export, tmp_path, monkeypatch):
+    def cancelling(*_):
+        monkeypatch.undo()
+        export.cancel.click()
+        export.go.click()
+
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", cancelling)
+    export.go.click()
+    assert (tmp_path / "talk.glb").exists()
+
+
+def broken(*_, **__):
+    raise RuntimeError("RESOURCE_EXHAUSTED")
+
+
+def test_an_export_that_fails_unexpectedly_no_longer_waits(queued, monkeypatch):
+    export, jobs = queued
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", broken)
+    export.go.click()
+    with pytest.raises(RuntimeError, match="RESOURCE_EXHAUSTED"):
+        jobs[0]()
+    assert "waiting" not in export.said.value
+    assert not export.busy
+
+
+def test_settings_whose_saving_fails_unexpectedly_no_longer_wait(panel, tmp_path, monkeypatch):
+    jobs = []
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(tmp_path / "mine.toml")
+    monkeypatch.setattr(panel.session, "export", broken)
+    bar.export.click()
+    with pytest.raises(RuntimeError, match="RESOURCE_EXHAUSTED"):
+        jobs[0]()
+    assert bar.exported.value == ""
+    assert not bar.busy
+
+
+def test_nothing_waits_to_be_written_where_no_jobs_are_taken_any_more(panel, tmp_path):
+    slow = SlowJobs(lambda error: None, "closed")
+    slow.close()
+    dialog = ExportDialog(panel.session, slow.submit, panel.page.download)
+    dialog.settings.file.value = str(tmp_path / "mine.toml")
+    dialog.performance.file.value = str(tmp_path / "talk.glb")
+    for ask in (dialog.settings._on_export, dialog.performance._on_go):
+        with pytest.raises(RuntimeError):
+            ask()
+    assert not dialog.writing
+    assert dialog.settings.exported.value == ""
+    assert "waiting" not in dialog.performance.said.value
+
+
+def test_settings_saved_again_as_before_the_last_save_are_what_the_file_holds(panel, tmp_path):
+    jobs = []
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+    bar.file.value = str(tmp_path / "mine.toml")
+    for tau in (1.0, 2.0, 1.0, 1.0):
+        panel.session.set(weights={"tau": tau})
+        bar.export.click()
+    for job in jobs:
+        job()
+    assert read_config(tmp_path / "mine.toml").weights.tau == 1.0
+    assert len(jobs) == 3
+
+
+def test_what_waited_and_was_cancelled_is_still_told_when_what_was_being_saved_stops(panel, tmp_path, monkeypatch):
+    jobs = []
+    bar = ExportBar(panel.session, jobs.append, panel.page.download)
+
+    def stopped(path, progress, cancelled, *_):
+        bar.cancel.click()
+        progress("fit", 10, 20)
+        raise InputError(f"The export was cancelled; {path} was not written.")
+
+    monkeypatch.setattr(panel.session, "export", stopped)
+    for name in ("a.toml", "b.toml"):
+        bar.file.value = str(tmp_path / name)
+        bar.export.click()
+    with pytest.raises(InputError, match=r"a\.toml was not written"):
+        jobs[0]()
+    jobs[1]()
+    assert bar.exported.value == "Cancelled; b.toml was not written."
 
 
 def test_what_an_export_that_waited_finds_in_its_way_is_kept(queued, tmp_path):

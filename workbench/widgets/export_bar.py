@@ -8,7 +8,7 @@ from pathlib import Path
 
 import ipywidgets as widgets
 
-from workbench.errors import OutputError, WorkbenchError
+from workbench.errors import OutputError
 from workbench.files import check_writable
 from workbench.session import TuningSession
 from workbench.session.exports import TakenError, exported_for, free_file
@@ -44,7 +44,7 @@ class ExportBar:
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
         self.overwrite.on_click(lambda _button: self._on_overwrite())
-        self._requests = ExportRequests(self._write, later, self.stop)
+        self._requests = ExportRequests(self._write, later, self._say, self.stop)
         self.cancel = self._requests.cancel
         self.download = Download(download)
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
@@ -65,7 +65,9 @@ class ExportBar:
         """Cancel what waits or is being written."""
         if waiting := self._requests.drop():
             names = ", ".join(request.path.name for request in waiting)
-            self.exported.value = f"Cancelled; {html.escape(names)} was not written."
+            self._say(f"Cancelled; {names} {'was' if len(waiting) == 1 else 'were'} not written.")
+        elif self.busy:
+            self._say("")
 
     def _on_export(self) -> None:
         path = self.path
@@ -81,7 +83,7 @@ class ExportBar:
             self.file.value = str(free_file(taken.parent, self._session.material.name))
         self._taken = taken
         self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
-        self.exported.value = html.escape(
+        self._say(
             f"{taken.name} exists already{f', exported for {whose}' if whose else ''}: "
             f"pressing save again writes {self.path.name}."
         )
@@ -91,22 +93,25 @@ class ExportBar:
         self._ask(self._taken, overwrite=True)
 
     def _ask(self, path: Path, overwrite: bool = False) -> None:
-        self.download.offer(None)
         self.overwrite.layout.display = "none"
         try:
             check_writable(path)
         except OutputError as error:
-            self.exported.value = html.escape(error_text(error))
+            self._say(error_text(error))
             return
-        self.exported.value = f"waiting to write {html.escape(path.name)} …"
         self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
+
+    def _say(self, text: str) -> None:
+        """Show a text in place of what was written last."""
+        self.download.offer(None)
+        self.exported.value = html.escape(text)
 
     def _write(self, request: SettingsRequest, cancelled: Cancelled) -> None:
         """Work, in the thread for slow jobs."""
         path, config = request.path, request.config
 
         def progress(step: str, done: int, total: int | None) -> None:
-            if done % 10 == 0 or done == total:
+            if not cancelled() and (done % 10 == 0 or done == total):
                 self.exported.value = f"{step} {done} of {total} …"
 
         try:
@@ -114,9 +119,6 @@ class ExportBar:
         except TakenError:
             self._offer(path)
             return
-        except (WorkbenchError, OSError):
-            self.exported.value = ""
-            raise
         self.download.offer(path)
         command = html.escape(self._session.command(path, config))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"

@@ -61,7 +61,7 @@ class PerformanceExport:
         download: Callable[[Path], None],
     ) -> None:
         self._session, self._settings = session, settings
-        self._requests = ExportRequests(self._write, later, self.stop)
+        self._requests = ExportRequests(self._write, later, self._say_waiting, self.stop)
         self._ended: list[str] = []
         """What became of the requests since none was left."""
         self._wrong = False
@@ -145,13 +145,12 @@ class PerformanceExport:
     def _on_go(self) -> None:
         if not self.busy:
             self._ended, self._wrong = [], False
-        self.download.offer(None)
         try:
             request = self._request()
         except WorkbenchError as error:
+            self.download.offer(None)
             self._end(error_text(error), wrong=True)
             return
-        self._say(f"waiting to write {request.path.name} …")
         self._requests.submit(request)
 
     def _request(self) -> PerformanceRequest:
@@ -191,7 +190,7 @@ class PerformanceExport:
         session = self._session
         request.check_free()  # another one may have been written while it waited
         track = performance_track(session, told, cancelled, request.config)
-        if track is None:
+        if track is None or cancelled():
             raise _CancelledError
         dressed = None if request.character is None else dressed_as(request.character, session.model)
         request.check_free()  # … or while it was fitted
@@ -201,15 +200,21 @@ class PerformanceExport:
         self.download.offer(done.path)
         return " ".join([f"Wrote {done.path.absolute()}.", *done.notes])
 
-    def _say(self, text: str) -> None:
+    def _say_waiting(self, text: str) -> None:
+        if text:
+            self.download.offer(None)
+        self._say(text)
+
+    def _say(self, text: str = "") -> None:
         """Show a text after those about what ended before."""
-        self.said.say(" ".join([*self._ended, text]), self._wrong)
+        self.said.say(" ".join([*self._ended, *([text] if text else [])]), self._wrong)
 
     def _end(self, text: str, wrong: bool = False) -> None:
-        """Show a text that stays until nothing is left to be written."""
+        """Show a text that stays, once, until nothing is left to be written."""
         self._wrong = self._wrong or wrong
-        self._say(text)
-        self._ended.append(text)
+        if text not in self._ended:
+            self._ended.append(text)
+        self._say()
 
 
 def _cancelled_text(request: PerformanceRequest) -> str:
