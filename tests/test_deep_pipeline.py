@@ -292,27 +292,24 @@ def test_the_rig_of_an_older_run_is_found_from_another_folder(project, tmp_path,
     assert refined("rg").exit_code == 0
 
 
-def test_the_rig_of_a_folder_that_was_moved_is_found_in_it(project, tmp_path, monkeypatch):
-    moved = tmp_path / "moved"
-    shutil.copytree(project, moved)
-    track_file = moved / "rg" / "track.npz"
-    old = Track.load(track_file)
-    gone = json.dumps(old.meta).replace(str(project), "/nowhere/project")
-    replace(old, meta=json.loads(gone)).save(track_file)
-    monkeypatch.chdir(moved)
+@pytest.fixture
+def moved(project, tmp_path, monkeypatch):
+    """The project in another folder, which is worked in, as if it were no longer where it was."""
+    folder = Path(shutil.copytree(project, tmp_path / "moved"))
+    stored = Track.load(folder / "rg" / "track.npz")
+    gone = json.dumps(stored.meta).replace(str(project), "/nowhere/project")
+    replace(stored, meta=json.loads(gone)).save(folder / "rg" / "track.npz")
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def test_the_rig_of_a_folder_that_was_moved_is_found_in_it(moved):
     assert refined("rg").exit_code == 0
+    assert read_config("rg-refine/config.toml").camera.rig == str(moved / "rig.toml")
 
 
-def test_the_configuration_of_a_folder_that_was_moved_is_run_in_it(project, tmp_path, monkeypatch):
-    shutil.copytree(project, tmp_path / "moved")
-    monkeypatch.chdir(tmp_path / "moved")
-    assert read_config("rg/config.toml").camera.rig == "rig.toml"
-
-
-def test_a_new_track_names_its_rig_so_that_it_is_found_from_every_folder(project, tmp_path, monkeypatch):
-    monkeypatch.chdir(shutil.copytree(project, tmp_path / "moved"))
-    assert refined("rg").exit_code == 0
-    assert read_config("rg-refine/config.toml").camera.rig == str(tmp_path / "moved" / "rig.toml")
+def test_the_configuration_of_a_folder_that_was_moved_names_files_in_it(moved):
+    assert (moved / read_config("rg/config.toml").camera.rig).exists()
 
 
 def test_a_run_that_was_begun_with_a_rig_by_another_name_of_it_goes_on(project, head, monkeypatch):
