@@ -12,7 +12,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from workbench.errors import OutputError, WorkbenchError
@@ -100,6 +100,28 @@ def make_folder(path: str | Path) -> Path:
     with writing(path):
         Path(path).mkdir(parents=True, exist_ok=True)
     return Path(path)
+
+
+class NewFiles:
+    """What a job writes where nothing was before; a job that fails takes it away again."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """`folder`: what may be made for them, and goes with them if nothing else has come into it."""
+        self._folder = None if folder is None or folder.exists() else folder
+        self._paths: set[Path] = set()
+
+    def expect(self, path: Path) -> None:
+        """A file is about to be written there; one that is there already stays, whatever happens."""
+        if not path.exists():
+            self._paths.add(path)
+
+    def discard(self) -> None:
+        """Remove them."""
+        for path in self._paths:
+            path.unlink(missing_ok=True)
+        if self._folder is not None:
+            with suppress(OSError):  # not empty, or never made
+                self._folder.rmdir()
 
 
 def check_target(path: str | Path) -> None:

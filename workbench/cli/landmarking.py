@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -25,7 +25,7 @@ from workbench.cli.tracking import (
 )
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
-from workbench.files import check_new, check_not_inputs
+from workbench.files import NewFiles, check_new, check_not_inputs
 from workbench.landmarks.scheme import outer_eye_distance
 
 LANDMARKS_HELP = """Find faces and their landmarks, with a confidence for every point; no face model is fitted.
@@ -136,42 +136,38 @@ def _check_new(out: Path, drawn: Path | None, named: bool) -> None:
 
 def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
     files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
-    with _kept_together(drawn) as made, files.LandmarkCsvWriter(out, scheme=source.scheme) as table:
-        with ExitStack() as opened:
-            film, new_film = None, drawn is not None and not drawn.exists()
-            if drawn is not None and source.frames.kind == "video":
-                rate = source.frames.rate or RATE_WITHOUT_CLOCK
-                film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
-            for frame, observation in source.stills():
-                points = observation.landmarks
-                table.write(files.LandmarkRecord(frame.index, frame.name, points, observation.image_size))
-                if film is not None:
-                    film.write(draw(frame.picture, points, frame.name))
-                elif drawn is not None:
-                    path = drawn / _picture_name(frame)
-                    new = not path.exists()
-                    workbench.frames.write_picture(path, draw(frame.picture, points, frame.name))
-                    made += [path] if new else []
-                found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
-                progress("landmarks", len(found), source.count)
-        if film is not None and new_film:
-            made.append(film.path)
+    with (
+        _kept_together(drawn) as new,
+        files.LandmarkCsvWriter(out, scheme=source.scheme) as table,
+        ExitStack() as opened,
+    ):
+        film = None
+        if drawn is not None and source.frames.kind == "video":
+            new.expect(drawn)
+            rate = source.frames.rate or RATE_WITHOUT_CLOCK
+            film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
+        for frame, observation in source.stills():
+            points = observation.landmarks
+            table.write(files.LandmarkRecord(frame.index, frame.name, points, observation.image_size))
+            if film is not None:
+                film.write(draw(frame.picture, points, frame.name))
+            elif drawn is not None:
+                path = drawn / _picture_name(frame)
+                new.expect(path)
+                workbench.frames.write_picture(path, draw(frame.picture, points, frame.name))
+            found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
+            progress("landmarks", len(found), source.count)
     return found
 
 
 @contextmanager
-def _kept_together(drawn: Path | None) -> Iterator[list[Path]]:
-    """A list for what is newly drawn beside the table: if that is not written, it is removed, and its new folder."""
-    made: list[Path] = []
-    new = drawn is not None and not drawn.exists()
+def _kept_together(drawn: Path | None) -> Iterator[NewFiles]:
+    """What is drawn beside the table: if that is not written, what is new of it is removed."""
+    new = NewFiles(drawn)
     try:
-        yield made
+        yield new
     except BaseException:
-        for path in made:
-            path.unlink(missing_ok=True)
-        if drawn is not None and new:
-            with suppress(OSError):  # not empty, or never made
-                drawn.rmdir()
+        new.discard()
         raise
 
 

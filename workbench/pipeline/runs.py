@@ -21,6 +21,7 @@ from workbench.export.sources import input_files, reference_inputs
 from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
 from workbench.frames import Frames, ImageFrames, files_read
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, is_landmark_file
+from workbench.landmarks.formats import pts
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.landmarks.schemes import OF_DETECTORS
 from workbench.pictures.overlay_files import write_overlay_video
@@ -485,11 +486,7 @@ def _named_paths(config: Config) -> list[Path]:
 def _points_in(inputs: Sequence[Path], landmarks: Path | None) -> list[Path]:
     """The landmark files of a run; of a folder of .pts files these alone: what else comes into it is no input."""
     given = [*filter(is_landmark_file, inputs), *_given(landmarks)]
-    return [file for path in given for file in (_pts_in(path) if path.is_dir() else [path])]
-
-
-def _pts_in(folder: Path) -> list[Path]:
-    return [path for path in folder.iterdir() if path.suffix.lower() == ".pts"]
+    return [file for path in given for file in (pts.files_in(path) if path.is_dir() else [path])]
 
 
 def _pictures_of(views: Sequence[Frames]) -> list[Path]:

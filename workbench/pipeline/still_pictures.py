@@ -1,7 +1,6 @@
 """The pictures of a run on unrelated photos, each drawn as soon as it is fitted."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.face import DressedHead, FaceModel
+from workbench.files import NewFiles
 from workbench.pictures.overlay_files import OverlayPictures
 from workbench.pipeline.sources import canvas
 from workbench.tracking import FrameFit, FrameObservation
@@ -23,7 +23,7 @@ class StillPictures:
     ) -> None:
         self._source, self._names, self._folder = source, names, folder
         self._pictures = OverlayPictures(model, dressed=dressed)
-        self._made: set[Path] = set()
+        self._new = NewFiles(folder / "overlay")
 
     def add(self, observation: FrameObservation, fit: FrameFit) -> None:
         """Draw a still that was just fitted."""
@@ -46,11 +46,8 @@ class StillPictures:
         return tuple(path for path in paths if path.exists())
 
     def discard(self) -> None:
-        """Remove the pictures that no earlier run had drawn, and their folder where nothing else is in it."""
-        for path in self._made:
-            path.unlink(missing_ok=True)
-        with suppress(OSError):  # not empty, or never made
-            (self._folder / "overlay").rmdir()
+        """Remove the pictures that no earlier run had drawn, and their folder if new and with nothing else in it."""
+        self._new.discard()
 
     def notes(self) -> list[str]:
         """What a user should know about them."""
@@ -60,8 +57,7 @@ class StillPictures:
         picture = self._picture(fit) if picture is None else picture
         if picture is not None:
             path = self._path(fit.index)
-            if not path.exists():
-                self._made.add(path)
+            self._new.expect(path)
             self._pictures.add(path, picture, fit)
 
     def _picture(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"] | None:

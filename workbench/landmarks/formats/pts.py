@@ -49,13 +49,18 @@ def read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
     return LandmarkRecord(0, path.stem, checked_landmarks(str(path), points, None, size), image_size)
 
 
+def files_in(folder: Path) -> list[Path]:
+    """The .pts files of a folder, but for hidden ones. Raises `InputError` for a folder that cannot be read."""
+    with door(folder):
+        return [path for path in folder.iterdir() if path.suffix.lower() == ".pts" and path.name[0] != "."]
+
+
 def read_folder(folder: Path, image_size: tuple[int, int]) -> Iterator[LandmarkRecord]:
     """The files of a folder as frames, in the order of their names (2 before 10); files of other kinds are left alone.
 
     Raises `InputError` at once for a folder without any, for a damaged file when it is reached.
     """
-    with door(folder):
-        files = [path for path in folder.iterdir() if path.suffix.lower() == ".pts" and path.name[0] != "."]
+    files = files_in(folder)
     if not files:
         raise InputError(f"{folder} is a folder without .pts files: name a landmark file, or a folder with one a frame")
     return _frames(sorted(files, key=natural_key), image_size)
