@@ -945,6 +945,34 @@ def test_the_export_of_the_panel_is_the_configuration_of_the_session(clip_panel,
     assert "workbench track" in clip_panel.exported.value
 
 
+def test_settings_that_were_saved_come_back_in_one_undo_step(clip_panel, tmp_path):
+    panel = clip_panel
+    panel.turn("weights.tau", 2.0)
+    panel.file.value = str(tmp_path / "mine")
+    panel.export.click()
+    assert panel.wait_idle()
+    panel.turn("weights.tau", 7.0)
+    before = panel.session.config
+    panel.load.click()
+    assert panel.wait_idle()
+    assert panel.session.config.weights.tau == panel.controls.by_path["weights.tau"].value == 2.0
+    assert not panel.session.unexported
+    assert panel.session.undo_label == "settings of mine.toml"
+    assert panel.exported.value == "uses mine.toml; undo brings you back"
+    panel.undo.click()
+    assert panel.session.config == before
+
+
+def test_a_file_that_holds_no_settings_says_so_and_changes_nothing(clip_panel, tmp_path):
+    panel, before = clip_panel, clip_panel.session.config
+    (tmp_path / "wrong.toml").write_text("[weights]\ntaw = 3.0\n")
+    for name, told in (("wrong", "taw"), ("absent", "does not exist")):
+        panel.file.value = str(tmp_path / name)
+        panel.load.click()
+        assert told in panel.exported.value
+    assert panel.session.config == before
+
+
 @pytest.fixture
 def jumping_panel(head, clip, monkeypatch):
     """A clip whose head jumps aside in one frame, in a panel that compiles what it needs only when it needs it."""

@@ -703,6 +703,31 @@ def test_an_exported_configuration_gives_the_same_bits_on_the_command_line(name,
     assert not all(same(other[k], fit) for k, fit in enumerate(session.run.fits))
 
 
+def test_loaded_settings_bring_points_that_were_moved_in_the_same_clip(head, tmp_path):
+    clip = _short_clip(tmp_path)
+    first, second = (open_session(clip, model=head) for _ in range(2))
+    first.move(3, 30, (322.0, 241.5))
+    first.export(tmp_path / "tuned.toml")
+    clip.rename(tmp_path / "renamed.csv")
+    second.load(tmp_path / "tuned.toml")
+    assert second.config == first.config
+    assert not second.unexported
+
+
+def test_loaded_settings_of_another_clip_leave_how_points_were_found(session, head, tmp_path):
+    other = open_session(_short_clip(tmp_path), model=head)
+    other.move(3, 30, (322.0, 241.5))
+    other.set(weights={"tau": 2.0})
+    other.export(tmp_path / "tuned.toml")
+    session.move(4, 30, (310.0, 222.0))
+    moved = session.config.landmarks.moved
+    loaded = session.load(tmp_path / "tuned.toml")
+    assert loaded.weights.tau == 2.0
+    assert loaded.landmarks.moved == moved
+    session.undo()
+    assert session.config.weights.tau == QUICK.weights.tau
+
+
 def _short_clip(folder):
     path = folder / "clip.csv"
     lines = sample("performance-landmarks").read_text().splitlines()[:31]

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -77,6 +78,25 @@ def model_words(model: FaceModel | None) -> list[str]:
     Nothing of the default head, which is also meant by None.
     """
     return [] if model is None or model.name == "default-head" else ["--model", "MODEL"]
+
+
+def stored_settings(path: str | Path, material: Material, present: Config) -> Config:
+    """The settings of a file, for a material whose points were found as `present` says, which stays as it is.
+
+    Points moved by hand are the file's if it was exported for the same inputs with some. Raises `ConfigError` like
+    `read_config`.
+    """
+    stored = read_config(path)
+    kept = present.landmarks.kept_by_presets()
+    moved = stored.landmarks.moved
+    if moved and stored.provenance is not None and _contents(stored.provenance.inputs) == _contents(material.sources()):
+        kept["moved"] = moved
+    return stored.changed(landmarks=kept, provenance=present.provenance)
+
+
+def _contents(inputs: Sequence[str]) -> list[str]:
+    """The hashes of inputs, whatever their names are by now."""
+    return [entry.rpartition(" sha256:")[2] for entry in inputs]
 
 
 def exported_for(path: Path) -> str:

@@ -301,6 +301,13 @@ class TuningSession:
         self.tell("export")
         return path
 
+    def load(self, path: str | Path) -> Config:
+        """Use the settings of a file; one undo step. What stays the clip's, and errors: see `stored_settings`."""
+        from workbench.session.exports import stored_settings  # here: see `_make`
+
+        self._tuned.exported = config = stored_settings(path, self.material, self.config)
+        return self.use(config, f"settings of {Path(path).name}")
+
     def may_write(self, path: str | Path) -> bool:
         """Whether an export would overwrite nothing, or only a file that is as this session exported it."""
         return self._work.exports.may_write(path)
@@ -316,8 +323,7 @@ class TuningSession:
     def listen(self, callback: Callable[[str], None]) -> Callable[[], None]:
         """Call `callback(what)` after each change of "config", "run", "time", "snapshots" or "export".
 
-        Returns a function that stops the calls.
-        Callbacks run in the thread that made the change.
+        Returns a function that stops the calls. Callbacks run in the thread that made the change.
         """
         self._listeners.append(callback)
         return lambda: self._listeners.remove(callback) if callback in self._listeners else None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import ipywidgets as widgets
 
-from workbench.errors import OutputError
+from workbench.errors import OutputError, WorkbenchError
 from workbench.files import check_writable
 from workbench.session import TuningSession
 from workbench.session.exports import TakenError, exported_for, free_file
@@ -41,6 +41,8 @@ class ExportBar:
         )  # fmt: skip
         self.export = small_button("save settings", "write the configuration with its provenance")
         self.export.on_click(lambda _button: self._on_export())
+        self.load = small_button("load", "use the settings of this file; undo brings you back")
+        self.load.on_click(lambda _button: self._on_load())
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
         self.overwrite.on_click(lambda _button: self._on_overwrite())
@@ -48,7 +50,7 @@ class ExportBar:
         self.cancel = self._requests.cancel
         self.download = Download(download)
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
-        self.widgets = (self.file, self.export, self.overwrite, self.download, self.exported)
+        self.widgets = (self.file, self.export, self.load, self.overwrite, self.download, self.exported)
 
     @property
     def path(self) -> Path:
@@ -100,6 +102,16 @@ class ExportBar:
             self._say(error_text(error))
             return
         self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
+
+    def _on_load(self) -> None:
+        path = self.path
+        self.overwrite.layout.display = "none"
+        try:
+            self._session.load(path)
+        except WorkbenchError as error:
+            self._say(error_text(error))
+        else:
+            self._say(f"uses {path.name}; undo brings you back")
 
     def _say(self, text: str) -> None:
         """Show a text in place of what was written last."""

@@ -154,7 +154,7 @@ class TuningPanel(LateParts):
         # For scripts to press and read.
         self.undo, self.redo = self.history.undo, self.history.redo
         self.reset, self.name, self.keep = self.history.reset, self.history.name, self.history.keep
-        self.file, self.export, self.overwrite, _, self.exported = self.export_dialog.settings.widgets
+        self.file, self.export, self.load, self.overwrite, _, self.exported = self.export_dialog.settings.widgets
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
         self.strip = parts.FilmStrip(self.session)
