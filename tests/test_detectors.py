@@ -365,15 +365,15 @@ def test_a_clear_face_is_followed_by_one_look(network, laugh):
     assert np.array_equal(refined.confidence, look.confidence)
 
 
-def test_a_face_in_the_dark_is_looked_at_twice_and_seen_better(network, laugh):
-    rng = np.random.default_rng(0)
+def test_a_face_half_in_the_dark_is_looked_at_twice_and_seen_better(network, laugh):
     errors = []
     for picture, truth in laugh:
-        dark = np.clip(0.08 * picture + rng.normal(0.0, 4.0, picture.shape), 0, 255).astype(np.uint8)
+        dark, nose = picture.copy(), int(truth[27:31, 0].mean())
+        dark[:, nose:] = 0.04 * picture[:, nose:]
         answers = network.look(dark, truth).landmarks, network.refine(dark, truth)
         errors.append([np.linalg.norm((found.points - truth)[LOOKED_AT], axis=1).mean() for found in answers])
     one, two = np.mean(errors, axis=0)
-    assert two < 0.97 * one
+    assert two < 0.95 * one
 
 
 def test_a_look_shows_where_the_network_takes_landmarks_to_be(network, astronaut, aligned):

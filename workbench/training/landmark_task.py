@@ -16,11 +16,11 @@ from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
 STRIDE = 4
-COORDINATE_WEIGHT = 0.25
+COORDINATE_WEIGHT = 1.0
 """Weight of the soft-argmax' error in heat-map pixels beside the cross entropy."""
 JAW_WEIGHT, EYE_WEIGHT, PUPIL_WEIGHT = 0.5, 1.4, 0.5
 """Weights of the jaw's contour, whose points slide along an edge, of the lids, and of pupils, which lids hide."""
-OPENING_WEIGHT = 0.6
+OPENING_WEIGHT = 2.0
 """Weight of the error of eyes' and lips' openings in heat-map pixels: two lids that are both off show no opening."""
 OPENINGS = ((37, 41), (38, 40), (43, 47), (44, 46), (61, 67), (62, 66), (63, 65))
 """Points that face each other across an eye or the lips."""
