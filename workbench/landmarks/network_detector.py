@@ -42,7 +42,7 @@ OTHER_ROLLS = (-0.9, 0.9)
 DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
 CLEAR = 0.9
-"""Sureness (`turned_faces`) below which a followed face is looked at twice, the second time mirrored. On renders below it
+"""Sureness (`turned_faces`) below which a followed face is looked at twice, the second time mirrored. On such renders
 that takes 9 to 10 percent off the error; on a clear face, two looks are not worth a slower frame."""
 LEAST_FACE = 0.3
 """Median confidence of the inner points from which a face is certain; of boxes of walls and hands, 99 in 100 are below
