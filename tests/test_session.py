@@ -724,6 +724,7 @@ def test_loaded_settings_of_another_clip_leave_how_points_were_found(session, he
     loaded = session.load(tmp_path / "tuned.toml")
     assert loaded.weights.tau == 2.0
     assert loaded.landmarks.moved == moved
+    assert "landmarks.moved.4" in {change.path for change in session.unexported}  # the file does not hold them
     session.undo()
     assert session.config.weights.tau == QUICK.weights.tau
 

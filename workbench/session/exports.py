@@ -80,13 +80,11 @@ def model_words(model: FaceModel | None) -> list[str]:
     return [] if model is None or model.name == "default-head" else ["--model", "MODEL"]
 
 
-def stored_settings(path: str | Path, material: Material, present: Config) -> Config:
-    """The settings of a file, for a material whose points were found as `present` says, which stays as it is.
+def settings_for(material: Material, stored: Config, present: Config) -> Config:
+    """Stored settings for a material whose points were found as `present` says, which stays as it is.
 
-    Points moved by hand are the file's if it was exported for the same inputs with some. Raises `ConfigError` like
-    `read_config`.
+    Points moved by hand are the stored ones if they were exported for the same inputs with some.
     """
-    stored = read_config(path)
     kept = present.landmarks.kept_by_presets()
     moved = stored.landmarks.moved
     if moved and stored.provenance is not None and _contents(stored.provenance.inputs) == _contents(material.sources()):

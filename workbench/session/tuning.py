@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 import workbench
-from workbench.config import DEFAULT_PRESET, Config, Difference, config_of_track, preset
+from workbench.config import DEFAULT_PRESET, Config, Difference, config_of_track, preset, read_config
 from workbench.errors import InputError
 from workbench.session.gesture import Gesture
 from workbench.session.history import Step
@@ -302,11 +302,11 @@ class TuningSession:
         return path
 
     def load(self, path: str | Path) -> Config:
-        """Use the settings of a file; one undo step. What stays the clip's, and errors: see `stored_settings`."""
-        from workbench.session.exports import stored_settings  # here: see `_make`
+        """Use the settings of a file (`settings_for`); one undo step. Raises `ConfigError` like `read_config`."""
+        from workbench.session.exports import settings_for  # here: see `_make`
 
-        self._tuned.exported = config = stored_settings(path, self.material, self.config)
-        return self.use(config, f"settings of {Path(path).name}")
+        self._tuned.exported = stored = read_config(path)
+        return self.use(settings_for(self.material, stored, self.config), f"settings of {Path(path).name}")
 
     def may_write(self, path: str | Path) -> bool:
         """Whether an export would overwrite nothing, or only a file that is as this session exported it."""
