@@ -40,11 +40,11 @@ help:
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(INSTALL) --editable ".[dlib]"
+	$(INSTALL) --editable "."
 	@touch $(STAMP)
 
 $(LAB_STAMP): $(STAMP)
-	$(INSTALL) --editable ".[app,dlib,formats,lab]"
+	$(INSTALL) --editable ".[app,formats,lab]"
 	@touch $(LAB_STAMP)
 
 $(TEST_STAMP): $(STAMP)

@@ -1,7 +1,6 @@
 """A video file to a track, detection and landmarks included: frames per second once everything is compiled."""
 
 import argparse
-import importlib.util
 import os
 import tempfile
 import time
@@ -28,8 +27,6 @@ def main() -> None:
     video = arguments.parse_args().video
     if not video.is_file():
         return skip(f"there is no video {video}")
-    if importlib.util.find_spec("dlib") is None:
-        return skip("dlib is not installed; install face-energy-workbench[dlib]")
     run_once(video)
     processor_began = time.process_time()
     summary, seconds = run_once(video)

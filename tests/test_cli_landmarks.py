@@ -222,15 +222,6 @@ def test_the_detector_is_auto_unless_one_is_named(run, detector):
 
 @pytest.mark.usefixtures("detector", "photos")
 @pytest.mark.parametrize("command", ["landmarks", "track"])
-def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_it_does_not(run, command):
-    note = "dlib is not installed"
-    options = ["--no-pictures", "--overwrite", *(["--stills"] if command == "track" else [])]
-    assert run(command, "photos", *options)[1].count(note) == 1
-    assert note not in run(command, "photos", *options, "--detector", "network")[1]
-
-
-@pytest.mark.usefixtures("detector", "photos")
-@pytest.mark.parametrize("command", ["landmarks", "track"])
 @pytest.mark.parametrize("name", ["dlib", "dlib+network"])
 def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, name, monkeypatch):
     monkeypatch.setattr(dlib_detector, "_notice_given", False)
@@ -443,8 +434,7 @@ def test_the_portraits_points_by_dlib_are_those_that_are_bundled(run, tmp_path):
     np.testing.assert_allclose(found, bundled, atol=0.5)
 
 
-def test_without_dlib_the_portraits_points_are_by_the_network(run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "dlib", None)
+def test_the_portraits_points_are_by_the_network_unless_another_detector_is_named(run, tmp_path):
     code, out, err = run("landmarks", str(sample("astronaut")))
     assert (code, err) == (0, "")
     assert "1 of 1 with a face" in out
@@ -467,10 +457,16 @@ def test_info_tells_the_bundled_networks_and_the_detector_that_auto_means(run, m
         line = next(line for line in out.splitlines() if f"network {path.stem}" in line)
         assert "parameters" in line
         assert f"SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}" in line
-    assert "network, as the dlib detector is missing" in next(line for line in out.splitlines() if "auto" in line)
+    row = {line.split()[0]: line for line in out.splitlines() if " detector" in line}
+    assert row["auto"].split()[-1] == "network"
+    assert 'pip install "face-energy-workbench[dlib]"' in row["dlib"]
 
 
 @needs_dlib
-def test_where_dlib_is_installed_auto_is_dlib_with_the_networks_lids(run):
-    line = next(line for line in run("info")[1].splitlines() if "auto detector" in line)
-    assert line.split()[-1] == "dlib+network"
+def test_info_tells_that_dlib_is_installed_with_its_model_files(run, monkeypatch):
+    def told():
+        return next(line for line in run("info")[1].splitlines() if "dlib detector" in line).split()[2]
+
+    assert told() == "installed"
+    monkeypatch.setattr(dlib_detector, "CNN_FILE", "of_another_version.dat")
+    assert told() == "missing:"

@@ -18,7 +18,7 @@ from workbench.frames import open_frames, read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import frame_from_points, grey_face_crop
 from workbench.landmarks.detection import FaceDetection, LandmarkDetector
-from workbench.landmarks.detectors import DETECTORS, chosen_detector, fallback_note, make_detector
+from workbench.landmarks.detectors import AUTO, DETECTORS, chosen_detector, make_detector
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import CLEAR, CROP_SIDE, NetworkDetector, crop_frame, network_box
 from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
@@ -84,36 +84,20 @@ def test_without_the_model_files_the_error_gives_the_line_that_installs_them(mon
         dlib_detector.model_path("shape_predictor_68_face_landmarks.dat")
 
 
-@needs_dlib
-def test_auto_is_dlib_with_the_networks_lids_where_dlib_is_installed_with_its_models():
-    assert chosen_detector() == "dlib+network"
-    assert make_detector("auto").name == "dlib+network"
-
-
-@pytest.mark.parametrize("missing", ["dlib", "its model files"])
-def test_auto_is_the_network_where_dlib_or_a_model_file_is_missing(missing, monkeypatch):
-    if missing == "dlib":
+@pytest.mark.parametrize("installed", [pytest.param(True, marks=needs_dlib), False])
+def test_auto_is_the_network_with_and_without_dlib(installed, monkeypatch):
+    if not installed:
         monkeypatch.setitem(sys.modules, "dlib", None)
-    else:
-        monkeypatch.setattr(dlib_detector, "CNN_FILE", "of_another_version.dat")
-    assert chosen_detector() == "network"
-    assert chosen_detector("dlib-hog") == "dlib-hog"
-
-
-def test_without_dlib_auto_makes_the_network_detector(monkeypatch):
-    monkeypatch.setitem(sys.modules, "dlib", None)
-    assert make_detector("auto").name == "network"
-
-
-def test_only_who_asked_for_auto_and_got_the_network_is_told_why():
-    assert "dlib is not installed" in fallback_note("auto", "network")
-    for asked, runs in (("auto", "dlib+network"), ("network", "network"), ("dlib", "dlib")):
-        assert fallback_note(asked, runs) is None
-
-
-def test_every_name_of_a_configuration_is_a_detector_and_the_other_way_round():
-    assert set(LandmarksConfig.model_fields["detector"].annotation.__args__) == set(DETECTORS)
     assert LandmarksConfig().detector == "auto"
+    assert chosen_detector() == chosen_detector("auto") == make_detector("auto").name == "network"
+
+
+def test_a_detector_that_is_named_is_the_one_that_runs():
+    assert {name: chosen_detector(name) for name in DETECTORS} == {name: name for name in DETECTORS}
+
+
+def test_every_name_of_a_configuration_is_a_detector_or_auto_and_the_other_way_round():
+    assert set(LandmarksConfig.model_fields["detector"].annotation.__args__) == {AUTO, *DETECTORS}
 
 
 def test_licence_notice_names_the_restriction_and_is_given_once(monkeypatch):

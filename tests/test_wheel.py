@@ -93,7 +93,7 @@ def test_the_demo_tracks_both_inputs_with_faces_that_it_finds(python, environmen
         folder = tmp_path / "demo_out" / name
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         assert summary["frames"] == summary["frames_with_face"] == frames
-        assert summary["detector"] in ("dlib+network", "network")
+        assert summary["detector"] == "network"
         assert summary["reprojection_error"]["inner_51_percent_of_eye_distance"]["mean"] < 2.0
         assert (folder / picture).stat().st_size > 100_000
     assert str(ROOT) not in done.stdout

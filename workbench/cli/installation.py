@@ -14,6 +14,7 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import PRESETS
+from workbench.errors import MissingDependencyError
 from workbench.extras import install_command
 from workbench.runtime import cache_folder
 from workbench.samples import samples_folder
@@ -49,14 +50,14 @@ def info() -> None:
     """Versions, what is installed, and where things are."""
 
     bundled = workbench.landmarks.network_detector.BUNDLED
-    head, automatic = workbench.load_default_head(), workbench.landmarks.chosen_detector()
+    head = workbench.load_default_head()
     table = Table(show_header=False, box=None)
     rows = {
         "workbench": workbench.__version__,
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
-        "dlib detector": "installed" if automatic != "network" else f"missing: {install_command('dlib')}",
-        "auto detector": automatic if automatic != "network" else f"{automatic}, as the dlib detector is missing",
+        "auto detector": workbench.landmarks.chosen_detector(),
+        "dlib detector": "installed" if _has_dlib() else f"missing: {install_command('dlib')}",
         **{f"network {path.stem}": _network(path) for path in sorted(bundled.glob("*.safetensors"))},
         "app": "installed" if _has("voila") else f"missing: {install_command('app')}",
         "3D pictures": "VTK off screen"
@@ -80,6 +81,16 @@ def _network(path: Path) -> str:
     content = path.read_bytes()
     digest = hashlib.sha256(content).hexdigest()[:12]
     return f"{weights.architecture}, {numbers:,} parameters, {len(content) / 2**20:.1f} MiB, SHA-256 {digest}…"
+
+
+def _has_dlib() -> bool:
+    """Whether dlib can be used, with its model files."""
+
+    try:
+        workbench.landmarks.dlib_detector.check_installed()
+    except MissingDependencyError:
+        return False
+    return True
 
 
 def _has(module: str) -> bool:

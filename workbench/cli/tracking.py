@@ -34,7 +34,7 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track points.csv                        landmarks from a file, no detector
 
-  workbench track talk.mp4 --detector network       our own network, even where dlib is installed
+  workbench track talk.mp4 --detector dlib          dlib's landmarks, as in FACE IT!
 
   workbench track talk.mp4 --preset face-it         as published
 
@@ -66,8 +66,8 @@ IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
 DETECTOR_HELP = (
-    "auto (dlib+network where dlib is there, else network), network, network+pupils (68 points and the pupils), dense "
-    "(377 points), dlib, dlib-hog, dlib-cnn or mediapipe."
+    "auto (network), network, network+pupils (68 points and the pupils), dense (377 points), dlib, dlib+network, "
+    "dlib-hog, dlib-cnn or mediapipe."
 )
 LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."

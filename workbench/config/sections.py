@@ -173,8 +173,8 @@ class LandmarksConfig(Section):
 
     detector: Detector = Field(
         "auto",
-        description="Face detector and predictor; auto: dlib+network where dlib is installed, else network. dense: "
-        "points of the whole face with a covariance each, network+pupils: 68 and the pupils, the others: 68.",
+        description="Face detector and predictor; auto: network. dense: points of the whole face with a covariance "
+        "each, network+pupils: 68 and the pupils, the others: 68.",
     )
     face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(

@@ -7,7 +7,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.frames import Frame, Frames, read_ahead
 from workbench.landmarks.detection import LandmarkDetector
-from workbench.landmarks.detectors import fallback_note, make_detector
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.schemes import detector_scheme
 from workbench.landmarks.tracker_options import TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
@@ -28,7 +28,6 @@ class PictureSource:
         self.image_size = frames.image_size
         self.count = frames.announced_count
         self.detector, self.scheme = detector.name, detector_scheme(detector.name)
-        self._fallback = fallback_note(config.landmarks.detector, detector.name)
         face = config.landmarks.face
         self._tracker = LandmarkTracker(detector, options_for(detector.name, face))
         self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
@@ -39,7 +38,7 @@ class PictureSource:
         return [self.frames]
 
     def notes(self) -> list[str]:
-        return [*self.frames.notes, *([self._fallback] if self._fallback else [])]
+        return list(self.frames.notes)
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         if stills:

@@ -259,7 +259,7 @@ def runtime(study: Study) -> Result:
     return Result(
         data=f"{count} frames of the bundled clip (640 × 480), landmarks by {chosen_detector()}, preset face-it.",
         tables=(Table("Mean time per frame", ("", "landmarks, ms", "energy, ms", "frames per second"), rows),),
-        notes=("The computers differ, and so do the solvers (Ceres there); the landmarks here combine predictor and "
+        notes=("The computers differ, and so do the solvers (Ceres there); the landmarks here combine detector and "
                "optical flow.",),
     )  # fmt: skip
 
