@@ -23,6 +23,7 @@ GOAL = ">= 0.6"
 DETECTORS = {"network": "joint", "dlib": "joint", "dlib+network": "joint", "dense": "dense"}
 """And the preset that each is run with."""
 JUDGED = chosen_detector()
+"""The detector of `auto`, whose blinks the value is."""
 SHUT = {"carphone": (42, 92), "obama": (38, 39, 40), "hamilton": ()}
 """Frames in which both eyes are shut: contact sheets of the eyes, enlarged, were looked at frame by frame. In frame 38
 of obama they are shut and blurred; in 112 and 113 of carphone they are half open and not counted."""
@@ -50,7 +51,8 @@ def main() -> None:
         for name, (path, shut, opened) in clips.items()
         if path.is_file() and (row := _row(path, detector, head, shut, opened))
     }
-    value = min(row["shut_median"] for name, row in rows.items() if name.endswith(f", {JUDGED}") and "shut_median" in row)
+    judged = [row for name, row in rows.items() if name.endswith(f", {JUDGED}")]
+    value = min(row["shut_median"] for row in judged if "shut_median" in row)
     print_result("blinks", value, "eyeBlink, worst clip", GOAL, "frames with shut eyes", rows)
 
 
