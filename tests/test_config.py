@@ -9,6 +9,7 @@ import pytest
 from workbench.config import (
     PRESETS,
     Config,
+    Hashed,
     Stage,
     config_schema,
     config_toml,
@@ -190,6 +191,23 @@ def test_provenance_survives_the_file(tmp_path):
     write_config(config, tmp_path / "config.toml")
     assert read_config(tmp_path / "config.toml") == config
     assert config.provenance.versions["jax"] == "0.10"
+
+
+@pytest.mark.parametrize(
+    ("named", "text"),
+    [
+        (Hashed("talk.mp4", "9f86d0"), "talk.mp4 sha256:9f86d0"),
+        (Hashed("a sha256:b.mp4", "9f86d0"), "a sha256:b.mp4 sha256:9f86d0"),
+        (Hashed("talk.mp4", ""), "talk.mp4 sha256:"),
+    ],
+)
+def test_what_a_provenance_names_is_read_as_it_was_written(named, text):
+    assert str(named) == text
+    assert Hashed.read(text) == named
+
+
+def test_what_a_provenance_names_without_a_hash_is_a_name():
+    assert Hashed.read("talk.mp4") == Hashed("talk.mp4", "")
 
 
 def test_points_moved_by_hand_survive_the_file(tmp_path):

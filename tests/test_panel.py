@@ -958,7 +958,7 @@ def test_settings_that_were_saved_come_back_in_one_undo_step(clip_panel, tmp_pat
     assert panel.session.config.weights.tau == panel.controls.by_path["weights.tau"].value == 2.0
     assert not panel.session.unexported
     assert panel.session.undo_label == "settings of mine.toml"
-    assert panel.exported.value == "uses mine.toml; undo brings you back"
+    assert panel.exported.value == "now using mine.toml; undo brings back the settings before it"
     panel.undo.click()
     assert panel.session.config == before
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from tests.other_heads import resized
 from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
-from workbench.config import PRESETS, Stage, preset, read_config, write_config
+from workbench.config import PRESETS, Hashed, Stage, preset, read_config, write_config
 from workbench.errors import ConfigError, InputError
 from workbench.export.sources import pictures_of
 from workbench.frames import open_frames, read_picture, write_picture
@@ -531,7 +531,7 @@ def test_settings_and_performances_name_the_pictures_that_were_opened(photo_sess
     else:
         photo.unlink()
     track = performance_track(photo_session)
-    assert photo_session.material.sources() == [f"{photo} sha256:{opened}"]
+    assert photo_session.material.sources() == [Hashed(str(photo), opened)]
     assert track.meta["inputs"] == [{"path": str(photo), "sha256": opened}]
     with pytest.raises(InputError, match="The pictures of this track are no longer at"):
         pictures_of(track)
@@ -552,7 +552,7 @@ def test_a_session_on_a_track_names_the_landmarks_that_were_tracked(head, tmp_pa
     tracked = run_track(sample("astronaut"), tmp_path / "out", head, QUICK, landmarks=points, pictures=False).track
     points.write_bytes(points.read_bytes() + b"\n")
     session = open_session(tracked, model=head)
-    assert session.material.landmark_source() == f"{points} sha256:{tracked.meta['landmarks']['sha256']}"
+    assert session.material.landmark_source() == Hashed(str(points), tracked.meta["landmarks"]["sha256"])
 
 
 def test_a_picture_that_could_not_be_read_for_a_while_is_shown_when_it_is_back(tmp_path):

@@ -9,6 +9,7 @@ from .files import config_toml as config_toml
 from .files import parse_config as parse_config
 from .files import read_config as read_config
 from .files import write_config as write_config
+from .hashed import Hashed as Hashed
 from .presets import FACE_IT_PRESETS as FACE_IT_PRESETS
 from .presets import PRESETS as PRESETS
 from .presets import preset as preset

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import Config, differences
+from workbench.config import Config, Hashed, differences
 from workbench.errors import ConfigError, InputError
 from workbench.extras import check_installed
 from workbench.face import FaceModel
@@ -89,7 +89,7 @@ def tuned(
     tell: Tell = silent,
     place: Path | None = None,
     resume: bool = False,
-    inputs: Sequence[str] = (),
+    inputs: Sequence[Hashed] = (),
     stopped: Callable[[], bool] = never,
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
@@ -143,10 +143,10 @@ def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
     return observe(source, config, model, digest_of(source, config, model))
 
 
-def inputs_of(source: ClipSource) -> list[str]:
-    """Path and SHA-256 of a clip's files, for the provenance."""
+def inputs_of(source: ClipSource) -> list[Hashed]:
+    """A clip's files, for the provenance."""
     places = [Path(place) for place in source.places]
-    return [f"{place} sha256:{content_hash(place)}" for place in places if place.exists()]
+    return [Hashed(str(place), content_hash(place)) for place in places if place.exists()]
 
 
 def check_learnable(config: Config, clip: SweptClip, wanted: Wanted) -> None:
@@ -235,13 +235,13 @@ def measured(
     return found
 
 
-def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequence[str]) -> dict:
+def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequence[Hashed]) -> dict:
     change, learned_paths = result.change, () if result.learning is None else wanted.learn
     return {
         "exported": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": software_versions(),
-        "model": f"{model.name} sha256:{model.fingerprint()}",
-        "inputs": list(inputs),
+        "model": str(Hashed(model.name, model.fingerprint())),
+        "inputs": list(map(str, inputs)),
         "changed": [str(item) for item in differences(result.base, result.config)],
         "before": {name: round(mean_of(values), 5) for name, values in result.before.items()},
         "after": {name: round(mean_of(values), 5) for name, values in result.after.items()},

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from workbench.config import Config, differences, read_config, write_config
+from workbench.config import Config, Hashed, differences, read_config, write_config
 from workbench.errors import InputError, WorkbenchError
 from workbench.face import FaceModel
 from workbench.pipeline import software_versions
@@ -46,9 +46,9 @@ class Exports:
         provenance = {
             "exported": datetime.now(UTC).isoformat(timespec="seconds"),
             "versions": software_versions(),
-            "model": f"{self._model.name} sha256:{self._model.fingerprint()}",
-            "inputs": self._material.sources(),
-            "landmarks": self._material.landmark_source(),
+            "model": str(Hashed(self._model.name, self._model.fingerprint())),
+            "inputs": list(map(str, self._material.sources())),
+            "landmarks": str(self._material.landmark_source() or ""),
             "changed": [str(item) for item in differences(base, config)],
             "before": before,
             "after": after,
@@ -87,24 +87,27 @@ def settings_for(material: Material, stored: Config, present: Config) -> Config:
     """
     kept = present.landmarks.kept_by_presets()
     moved = stored.landmarks.moved
-    if moved and stored.provenance is not None and _contents(stored.provenance.inputs) == _contents(material.sources()):
+    if moved and _contents(_inputs_of(stored)) == _contents(material.sources()):
         kept["moved"] = moved
     return stored.changed(landmarks=kept, provenance=present.provenance)
 
 
-def _contents(inputs: Sequence[str]) -> list[str]:
-    """The hashes of inputs, whatever their names are by now."""
-    return [entry.rpartition(" sha256:")[2] for entry in inputs]
+def _contents(inputs: Sequence[Hashed]) -> list[str]:
+    """What inputs held, whatever their names are by now."""
+    return [named.sha256 for named in inputs]
+
+
+def _inputs_of(config: Config) -> list[Hashed]:
+    return [] if config.provenance is None else list(map(Hashed.read, config.provenance.inputs))
 
 
 def exported_for(path: Path) -> str:
     """Names of the inputs that an exported configuration was tuned on; empty if the file does not say."""
     try:
-        provenance = read_config(path).provenance
+        inputs = _inputs_of(read_config(path))
     except (WorkbenchError, OSError):
         return ""
-    inputs = [] if provenance is None else provenance.inputs
-    return ", ".join(Path(entry.partition(" sha256:")[0]).name for entry in inputs)
+    return ", ".join(Path(named.name).name for named in inputs)
 
 
 def free_file(folder: Path, name: str) -> Path:

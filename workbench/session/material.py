@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from workbench.config import Config
+from workbench.config import Config, Hashed
 from workbench.errors import InputError
 from workbench.frames import Frame, Frames
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
@@ -142,17 +142,17 @@ class Material:
         if not 0 <= frame < count:
             raise InputError(f"There is no frame {frame}; {self.name} has frames 0 to {count - 1}.")
 
-    def sources(self) -> list[str]:
-        """Path and SHA-256 of each input, as it was opened."""
+    def sources(self) -> list[Hashed]:
+        """Each input, as it was opened."""
         return [named for path in self.inputs if (named := self._named(path))]
 
-    def landmark_source(self) -> str:
-        """Path and SHA-256 of the landmark file; empty if the landmarks came from a detector."""
+    def landmark_source(self) -> Hashed | None:
+        """The landmark file, as it was opened; None if the landmarks came from a detector."""
         return self._named(self.landmark_file)
 
-    def _named(self, path: Path | None) -> str:
+    def _named(self, path: Path | None) -> Hashed | None:
         record = self.opened.record(path)
-        return f"{path} sha256:{record['sha256']}" if record else ""
+        return Hashed(str(path), record["sha256"]) if record else None
 
 
 Progress = Callable[[str, int, int | None], None]

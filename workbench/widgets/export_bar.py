@@ -41,7 +41,7 @@ class ExportBar:
         )  # fmt: skip
         self.export = small_button("save settings", "write the configuration with its provenance")
         self.export.on_click(lambda _button: self._on_export())
-        self.load = small_button("load", "use the settings of this file; undo brings you back")
+        self.load = small_button("load", "use the settings of this file; undo brings back the settings before it")
         self.load.on_click(lambda _button: self._on_load())
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
@@ -111,7 +111,7 @@ class ExportBar:
         except WorkbenchError as error:
             self._say(error_text(error))
         else:
-            self._say(f"uses {path.name}; undo brings you back")
+            self._say(f"now using {path.name}; undo brings back the settings before it")
 
     def _say(self, text: str) -> None:
         """Show a text in place of what was written last."""
