@@ -11,6 +11,7 @@ from workbench.config import (
     Config,
     Hashed,
     Stage,
+    config_of_track,
     config_schema,
     config_toml,
     differences,
@@ -208,6 +209,21 @@ def test_what_a_provenance_names_is_read_as_it_was_written(named, text):
 
 def test_what_a_provenance_names_without_a_hash_is_a_name():
     assert Hashed.read("talk.mp4") == Hashed("talk.mp4", "")
+
+
+@pytest.mark.parametrize(
+    ("asked", "ran", "says"),
+    [
+        ("auto", "dlib+network", "dlib+network"),
+        ("auto", "network", "auto"),
+        ("auto", None, "auto"),
+        ("auto", "of another workbench", "auto"),
+        ("dlib", "dlib", "dlib"),
+    ],
+)
+def test_of_a_track_the_detector_is_the_one_that_ran_where_auto_stood_for_another(asked, ran, says):
+    stored = preset("joint").changed(landmarks={"detector": asked}).model_dump(mode="json")
+    assert config_of_track({"config": stored, "detector": ran}).landmarks.detector == says
 
 
 def test_points_moved_by_hand_survive_the_file(tmp_path):

@@ -17,8 +17,8 @@ from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.frames import open_frames, read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import frame_from_points, grey_face_crop
-from workbench.landmarks.detection import FaceDetection, LandmarkDetector
-from workbench.landmarks.detectors import AUTO, DETECTORS, chosen_detector, make_detector
+from workbench.landmarks.detection import AUTO, FaceDetection, LandmarkDetector
+from workbench.landmarks.detectors import DETECTORS, chosen_detector, make_detector
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import CLEAR, CROP_SIDE, NetworkDetector, crop_frame, network_box
 from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance

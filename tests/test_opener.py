@@ -109,6 +109,10 @@ def begin_to_write(opener):
     opener.panel.export_dialog = SimpleNamespace(writing=True)
 
 
+def begin_to_sweep(opener):
+    opener.panel.sweep = SimpleNamespace(running=True)
+
+
 def loaded(opener):
     """The sample portrait open in an opener."""
     opener.open_sample("sample portrait")
@@ -122,6 +126,7 @@ def loaded(opener):
         (change_a_setting, "1 unsaved change"),
         (keep_a_snapshot, "1 snapshot"),
         (begin_to_write, "the file that is being written"),
+        (begin_to_sweep, "the sweep that is running"),
     ],
 )
 def test_what_would_be_lost_is_said_and_stays_until_it_is_opened_anyway(opener, work, lost):
@@ -150,11 +155,12 @@ def test_what_is_not_there_is_no_reason_to_ask(opener, tmp_path):
 
 def test_everything_that_would_be_lost_is_named(opener):
     loaded(opener)
-    for work in (change_a_setting, keep_a_snapshot, begin_to_write):
+    for work in (change_a_setting, keep_a_snapshot, begin_to_write, begin_to_sweep):
         work(opener)
     opener.open_sample("sample speech")
     opener.wait_idle()
-    assert "lose 1 unsaved change, 1 snapshot and the file that is being written." in opener.message.value
+    lost = "1 unsaved change, 1 snapshot, the file that is being written and the sweep that is running"
+    assert f"lose {lost}." in opener.message.value
 
 
 def test_who_stays_is_no_longer_asked(opener):

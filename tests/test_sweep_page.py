@@ -246,11 +246,14 @@ def test_a_stopped_sweep_keeps_what_is_known(head, clip):
     page._grown = first_group
     page.first.choose(found_setting(sweep_settings(CONFIG), "steady head"))
     page.first.count.value = 40
+    assert not page.running
     page.run()
     assert reached.wait(300)
+    assert page.running
     page.stop.click()
     go_on.set()
     assert page.wait_idle(60)
+    assert not page.running
     assert "Stopped" in page.said.value
     assert 0 < len(page.result.values) < 40
     assert page.progress.layout.visibility == "hidden"

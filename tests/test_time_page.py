@@ -222,6 +222,7 @@ def test_cancel_stops_a_run_and_says_so(panel, monkeypatch):
 
     def cancelling(*seen):
         say(*seen)
+        assert page.running
         told.append(seen)
         if len(told) == 2:
             page.cancel.click()
@@ -229,6 +230,7 @@ def test_cancel_stops_a_run_and_says_so(panel, monkeypatch):
     monkeypatch.setattr(page, "_told", cancelling)
     press(panel, page.go)
     assert len(told) == 2
+    assert not page.running
     assert panel.session.temporal.current is None
     assert "Cancelled" in page.result.value
     assert page.progress.layout.visibility == "hidden"

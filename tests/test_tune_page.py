@@ -147,8 +147,16 @@ def test_discard_changes_nothing(page):
 
 
 def test_stop_ends_after_a_step_and_judges_the_best_so_far(page):
-    page._session.tune = Tuning(page._session, lambda step: page.stop.click() if step == 1 else None)
+    running = []
+
+    def stop_in_the_second(step):
+        running.append(page.running)
+        if step == 1:
+            page.stop.click()
+
+    page._session.tune = Tuning(page._session, stop_in_the_second)
     done(page)
+    assert (running, page.running) == ([True, True], False)
     assert page.chart._series["count"] == 1
     assert page.result is not None
     assert page.progress.layout.visibility == "hidden"

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import tomlkit
 from pydantic import BaseModel
@@ -10,9 +10,11 @@ from pydantic import BaseModel
 from workbench.config.configuration import DEFAULT_PRESET, VERSION, Config, quoted, validated
 from workbench.config.presets import preset
 from workbench.config.schedules import PARALLEL_STAGES, Stage
+from workbench.config.sections import Detector
 from workbench.errors import ConfigError
 from workbench.face.characters import PLAIN, is_there
 from workbench.files import atomic_path
+from workbench.landmarks.detection import AUTO, RECOMMENDED
 from workbench.reading import checked_file, place_now, reading, toml_tables
 
 NAMED_FILES = (("camera", "rig"), ("deep", "network"), ("flow", "estimator"))
@@ -51,7 +53,8 @@ def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     """The configuration that a track was made with, by its metadata; None where it holds none.
 
     A character that is no longer there is the plain head, unless fits depend on it. Files are named where they are,
-    from whatever folder the run named them. Raises `ConfigError` like `parse_config`.
+    from whatever folder the run named them, and the detector is the one that ran, where "auto" stood for another one
+    then. Raises `ConfigError` like `parse_config`.
     """
     stored, origin = meta.get("config"), "The track's configuration"
     if not stored:
@@ -60,8 +63,14 @@ def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     if isinstance(head, dict) and isinstance(name := head.get("character"), str) and not is_there(name):
         plain = parse_config({**stored, "head": {**head, "character": PLAIN}}, origin)
         if not plain.renders_character:
-            return _with_its_files(plain, meta)
-    return _with_its_files(parse_config(stored, origin), meta)
+            return _as_run(plain, meta)
+    return _as_run(parse_config(stored, origin), meta)
+
+
+def _as_run(config: Config, meta: Mapping[str, Any]) -> Config:
+    config, ran = _with_its_files(config, meta), meta.get("detector")
+    another = config.landmarks.detector == AUTO and ran != RECOMMENDED and ran in get_args(Detector)
+    return config.changed(landmarks={"detector": ran}) if another else config
 
 
 def _with_its_files(config: Config, meta: Mapping[str, Any]) -> Config:

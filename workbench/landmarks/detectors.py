@@ -7,17 +7,12 @@ from types import MappingProxyType
 
 from workbench.errors import ConfigError
 from workbench.landmarks.dense_detector import DenseDetector
-from workbench.landmarks.detection import LandmarkDetector
+from workbench.landmarks.detection import AUTO, RECOMMENDED, LandmarkDetector
 from workbench.landmarks.dlib_detector import DlibDetector
 from workbench.landmarks.mediapipe_detector import MediapipeDetector
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.pupil_detector import PupilDetector
-
-AUTO = "auto"
-"""Not a detector but a choice, which leaves it to the workbench: `RECOMMENDED`."""
-RECOMMENDED = "network"
-"""The detector that runs under "auto": it finds most faces, is nearest to them, and needs no other package."""
 
 
 def _mixed() -> LandmarkDetector:

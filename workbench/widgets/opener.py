@@ -27,6 +27,13 @@ PATH_TIP = (
     f"{', '.join(SUFFIXES)}"
 )
 
+RUNNING = {
+    "sweep": "the sweep that is running",
+    "tune": "the tuning that is running",
+    "time": "the infill or refinement that is running",
+}
+"""Pages of a panel whose work takes long, and what closing the panel would end."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -208,11 +215,12 @@ class SessionOpener(widgets.VBox):
 def lost_work(session: TuningSession, panel: widgets.Widget) -> list[str]:
     """What closing a session's panel would lose, in words."""
     unsaved = session.unexported if session.changes() else []
-    exports = vars(panel).get("export_dialog")  # asked for by its name, a panel would make its parts now
+    exports = vars(panel).get("export_dialog")  # asked for by their names, a panel would make its parts now
     return [
         *([_counted(len(unsaved), "unsaved change")] if unsaved else []),
         *([_counted(len(session.snapshots), "snapshot")] if session.snapshots else []),
         *(["the file that is being written"] if exports is not None and exports.writing else []),
+        *(what for page, what in RUNNING.items() if getattr(vars(panel).get(page), "running", False)),
     ]
 
 

@@ -39,6 +39,8 @@ class PageWork(Generic[Request]):
         self.progress.layout.visibility = "hidden"
         self.stop = small_button("stop", stop_tip)
         self.stop.on_click(lambda _button: self.submit(None))
+        self.running = False
+        """Whether a request is worked on."""
 
     def stopping(self) -> bool:
         """For use inside `work`, between two of its parts: the panel gets its turn first."""
@@ -56,6 +58,10 @@ class PageWork(Generic[Request]):
 
     def _serve(self, request: Request | None) -> None:
         if request is not None:
-            self._work(request)
+            self.running = True
+            try:
+                self._work(request)
+            finally:
+                self.running = False
         elif self._stopped:
             self._said.say(self._stopped)

@@ -84,6 +84,11 @@ class SweepPage(widgets.HBox):
         """Set the session to a point of the sweep; one undo step."""
         self.said.guarded(self._take, number)
 
+    @property
+    def running(self) -> bool:
+        """Whether a sweep runs."""
+        return self._jobs.running
+
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait for the sweep; False if it takes longer."""
         return self._jobs.wait_idle(timeout_s)

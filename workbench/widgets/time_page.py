@@ -47,7 +47,8 @@ class TimePage:
         views: ClipViews,
     ) -> None:  # fmt: skip
         self._session = session
-        self.frame, self._busy = 0, False
+        self.frame, self.running = 0, False
+        """The frame in view, and whether infill or refinement run."""
         self.knobs: dict[str, KnobControl] = {}
         self._views = views
         self.is_clip = len(session) > 1 and not session.material.stills
@@ -153,7 +154,7 @@ class TimePage:
         if not self.is_clip:
             return
         _, part, worked = self._shown_now()
-        if not self._busy:
+        if not self.running:
             self.result.show(result_html(worked))
         self.sides.tooltips = [
             "the single-frame fits",
@@ -207,7 +208,7 @@ class TimePage:
             self.result.say("Cancelled; finished results are kept.")
             return
         temporal, part = self._session.temporal, self.played.wanted
-        self.progress.value, self.progress.layout.visibility, self._busy = 0, "visible", True
+        self.progress.value, self.progress.layout.visibility, self.running = 0, "visible", True
         try:
             if wanted == "flagged":
                 flagged = temporal.mark_flagged(part, self._told, self._worker.newer)
@@ -219,12 +220,12 @@ class TimePage:
             else:
                 done = temporal.run(part, None, self._told, self._worker.newer)
             if done is not None:
-                self._busy = False
+                self.running = False
                 self.result.forget()
                 self.sides.value = AFTER
                 self.show_result()
         finally:
-            self.progress.layout.visibility, self._busy = "hidden", False
+            self.progress.layout.visibility, self.running = "hidden", False
 
     def _told(self, step: str, done: int, total: int | None) -> None:
         # Not for every frame, because too many updates make the browser fall behind.

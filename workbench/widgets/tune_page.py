@@ -83,6 +83,11 @@ class TunePage(widgets.HBox):
         """Tune what is chosen."""
         self.said.guarded(self._submit)
 
+    @property
+    def running(self) -> bool:
+        """Whether a tuning runs."""
+        return self._jobs.running
+
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait for the tuning; False if it takes longer."""
         return self._jobs.wait_idle(timeout_s)
