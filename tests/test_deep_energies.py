@@ -209,6 +209,7 @@ def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     assert apart.max() < 2.0
 
 
+@pytest.mark.long
 def test_a_face_that_the_pictures_border_cuts_is_cut_in_its_render_too(deep, truth):
     """The crop is black beyond the picture, in the photo and in the render alike, so that the border cancels out."""
     low = truth._replace(translation=truth.translation + np.array([0.0, 110.0, 0.0]))
@@ -495,6 +496,7 @@ def test_a_fit_does_not_depend_on_other_frames(points, truth, head):
     assert not np.array_equal(fits[0].rotation, fits[1].rotation)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("derivative", ["forward", "differences"])
 def test_other_derivatives_of_the_network_find_the_pose_too(shared, solved, truth, derivative):
     scene, _ = solved

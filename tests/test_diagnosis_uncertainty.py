@@ -63,6 +63,7 @@ def test_the_scatter_of_weighted_landmarks_is_that_of_noisy_refits(small, scene)
     np.testing.assert_allclose(np.sqrt(np.diagonal(found.scatter)), np.std(rows, axis=0), rtol=0.25)
 
 
+@pytest.mark.long
 def test_the_covariance_is_the_scatter_of_noisy_refits(small, scene, refits):
     fit, _ = FaceItFitter(small, plan_of(CONFIG)).fit(scene.observation(noise_px=NOISE_PX, seed=1000), context(small))
     found = estimate_uncertainty(small, CONFIG, context(small), fit)

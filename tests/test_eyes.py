@@ -171,6 +171,7 @@ def errors_and_those_of_still_eyes(film, gaze, fits):
 
 
 class TestFilm:
+    @pytest.mark.long
     def test_fitted_eyes_look_where_the_true_ones_do_and_far_better_than_eyes_that_never_turn(self, film, observed):
         off, idle = errors_and_those_of_still_eyes(film, *fitted(film, observed, {}))
         assert off < 5.0

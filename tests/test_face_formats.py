@@ -667,6 +667,7 @@ def test_what_is_wrong_with_a_file_is_told_in_one_sentence(damage, message, subj
 
 
 # The paper's E_β knows weights in [0, 1] and has no place here; its E_σ stands in the way of components of either sign.
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "degrees", "pixels"), [("joint", 1.5, 1.5), ("face-it", 6.0, 5.0)])
 def test_face_it_tracks_with_ten_identity_and_ten_expression_components(name, degrees, pixels, flame_file):
     model = load_face_model(flame_file)

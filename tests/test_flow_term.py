@@ -109,6 +109,7 @@ def test_noisy_landmarks_of_face_it_jitter_less_and_err_less(film_maker, film):
     assert landmark_error(flowing, film) < 0.9 * landmark_error(alone, film)
 
 
+@pytest.mark.long
 def test_noisy_landmarks_of_deep_energies_jitter_less_and_err_less(film_maker, film):
     seen = observations(film, noise_px=1.0)
     alone, flowing = (tracked(film_maker.head, config, seen) for config in (DEEP, linked(DEEP)))
@@ -161,6 +162,7 @@ def test_points_of_one_person_lie_where_those_of_any_identity_do(film_maker):
 # Where no frame before is known.
 
 
+@pytest.mark.long
 def test_the_first_frame_and_those_after_gap_jump_and_cut_are_fitted_without_it(film_maker, film):
     head, seen = film_maker.head, observations(film, noise_px=1.0)
     far = seen[6].landmarks.points + np.array([40.0, 0.0])

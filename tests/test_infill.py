@@ -237,6 +237,7 @@ class Watching:
         return DisFlow()(first, second)
 
 
+@pytest.mark.long
 def test_renders_for_the_estimator_are_lit_by_one_light_in_all_views(film_maker, film):
     """A second camera beside the first, upside down, sees nearly the same renders upside down."""
     first = make_rig((0.0,), image_size=SIZE, fov_deg=FOV_DEG).views[0]

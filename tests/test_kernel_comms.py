@@ -154,6 +154,7 @@ def listener(request, kernel, widget):
     later.stop_channels()
 
 
+@pytest.mark.long
 def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget, listener):
     """Neither are the parts of a panel, which come all at once."""
     kernel.execute("workbench.widgets.kernel_comms.lose_no_messages()")  # as panels do

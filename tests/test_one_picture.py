@@ -50,7 +50,7 @@ def test_a_picture_gives_the_numbers_of_a_run(found, head, tmp_path):
     assert found.frame.source == run.track[0].source == "detected"
 
 
-@pytest.mark.parametrize("preset", ["face-it", "deep"])
+@pytest.mark.parametrize("preset", ["face-it", pytest.param("deep", marks=pytest.mark.long)])
 def test_with_given_landmarks_too_in_both_systems(preset, portrait, points, head, tmp_path):
     config = workbench.preset(preset)
     config = config.changed(deep={"energy": "points"}) if preset == "deep" else config
@@ -82,6 +82,7 @@ def test_the_mesh_before_the_camera_projects_onto_the_landmarks(found):
     assert np.abs(found.vertices_head.mean(axis=0)).max() < 100.0 < found.vertices_camera[:, 2].min()
 
 
+@pytest.mark.long
 def test_with_pupils_weights_mesh_and_figure_are_of_the_eyes_too(portrait, points):
     pupils = [points.points[eye].mean(axis=0) for eye in (slice(36, 42), slice(42, 48))]
     fit = workbench.fit(portrait, landmarks=np.vstack([points.points, pupils]), config="gaze")

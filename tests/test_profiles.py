@@ -80,6 +80,7 @@ def followed():
     return [tracker.step(picture) for picture in turned("ravi", YAWS_DEG)[0]]
 
 
+@pytest.mark.long
 def test_a_head_is_followed_from_profile_to_profile(followed):
     assert [each.source for each in followed] == ["detected", *["tracked"] * (len(followed) - 1)]
     _, points = turned("ravi", YAWS_DEG)
@@ -89,6 +90,7 @@ def test_a_head_is_followed_from_profile_to_profile(followed):
     assert np.median(apart[:, 17:], axis=1).max() < 0.02 * frame_from_points(points[0]).side
 
 
+@pytest.mark.long
 def test_the_back_of_a_head_is_no_face_and_the_profile_that_returns_is_found():
     yaws_deg = (*range(60, 181, 8), *range(180, 59, -8))
     tracker = LandmarkTracker(NetworkDetector(), options_for("network"))
@@ -98,6 +100,7 @@ def test_the_back_of_a_head_is_no_face_and_the_profile_that_returns_is_found():
     assert not found[turn >= 140].any()
 
 
+@pytest.mark.long
 def test_the_fit_turns_with_it(followed):
     config = preset("joint").changed(camera={"fov_deg": FOV_DEG})
     seen = (FrameObservation(k, each.landmarks, SIZE) for k, each in enumerate(followed))

@@ -202,6 +202,7 @@ class TestFiles:
         (read,) = read_landmark_file(tmp_path / f"seventy{suffix}")
         np.testing.assert_allclose(read.landmarks.points, landmarks.points, atol=6e-4)
 
+    @pytest.mark.long
     def test_a_session_fits_the_same(self, run, head):
         config = preset("gaze").changed(identity={"window": 2, "frames": 2})
         session = TuningSession(head, material_of_track(run.track), config)

@@ -54,6 +54,7 @@ def jitter(fits, film):
     return np.linalg.norm(missed[2:] - 2.0 * missed[1:-1] + missed[:-2], axis=2).mean()
 
 
+@pytest.mark.long
 def test_hybrid_trembles_less_and_errs_no_more(film_maker, film, noisy):
     result = steadied(film_maker, film, noisy, method="hybrid")
     assert jitter(result, film) < 0.4 * jitter(noisy, film)

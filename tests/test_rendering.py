@@ -308,6 +308,7 @@ def covered(corners, fine=96):
     return inside.reshape(12, fine, 16, fine).mean(axis=(1, 3))
 
 
+@pytest.mark.long
 def test_slanted_borders_move_by_the_exact_share():
     """Coverage of every pixel along slanted borders against central differences of a fine grid of points."""
     slanted = np.array([[-5.0, -4.0, 10.0], [-3.0, 4.0, 10.0], [4.0, 3.0, 10.0], [3.0, -4.5, 10.0]])
@@ -462,6 +463,7 @@ def test_a_texture_changes_with_vertices_places_texels_and_light_as_differences_
         assert np.median(np.abs(derivative - change)) < 5e-3 * np.abs(change).max()
 
 
+@pytest.mark.long
 def test_forward_and_reverse_agree(model, parameters, camera):
     random = np.random.default_rng(0)
     weights = random.normal(size=(*SIZE[::-1], 3)).astype(np.float32)
@@ -478,6 +480,7 @@ def test_forward_and_reverse_agree(model, parameters, camera):
         assert abs(reverse) > 0.0
 
 
+@pytest.mark.long
 def test_a_moving_head_changes_the_picture_as_differences_do(model, parameters, camera):
     """One small case of benchmarks/rendering_gradient.py, which has twenty scenes of 256 px."""
     start, *others = traced(parameters, camera, model.colors, LIGHT, WHITE)

@@ -66,6 +66,7 @@ def test_a_point_that_was_moved_by_hand_stays_moved(photos, detected):
     np.testing.assert_allclose(np.delete(difference, JAW_POINT, axis=0), 0.0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_person_is_calibrated_on_several_looks(head, photos, detected):
     """With pictures as on what several looks at them tell; without, on the landmarks as they are."""
     network = energy_network("heat-maps")

@@ -120,6 +120,7 @@ def both(**given: float) -> dict[str, float]:
 
 
 class TestFits:
+    @pytest.mark.long
     def test_noise_no_longer_makes_a_laugh_lopsided(self, head):
         sides = usual_expressions(NAMES).sides
         rough, even = (
