@@ -20,7 +20,7 @@ from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.samples import sample
 
-GOAL = "<= 1.3"
+GOAL = "<= 0.9"
 DETECTORS = ("network", "dlib")
 
 
