@@ -438,7 +438,8 @@ def test_a_run_resumes_with_the_detector_that_ran_before_under_whatever_name(
     monkeypatch.setattr(NoFaces, "name", again)
     seen, config = [], preset("joint").changed(landmarks={"detector": again})
     options = {"pictures": False, "resume": True, "progress": lambda *a: seen.append(a[1])}
-    with nullcontext() if goes_on else pytest.raises(OutputError, match="an interrupted run of another input"):
+    told = "an interrupted run that was begun with the detector network; go on with --detector network, name another"
+    with nullcontext() if goes_on else pytest.raises(OutputError, match=told):
         track(tmp_path / "grey.mp4", tmp_path / "out", head, config, **options)
     assert seen[:1] == ([6] if goes_on else [])
 

@@ -555,6 +555,15 @@ def test_a_session_on_a_track_names_the_landmarks_that_were_tracked(head, tmp_pa
     assert session.material.landmark_source() == Hashed(str(points), tracked.meta["landmarks"]["sha256"])
 
 
+@pytest.mark.parametrize("config", [None, "calibrated"])
+def test_a_session_on_a_track_keeps_the_detector_that_found_its_points(config, head, clip):
+    tracked = performance_track(TuningSession(head, clip, QUICK))
+    stored = QUICK.changed(landmarks={"detector": "dlib"}).model_dump(mode="json")
+    session = open_session(replace(tracked, meta=tracked.meta | {"config": stored}), config, model=head)
+    assert session.config.preset == (config or QUICK.preset)
+    assert session.config.landmarks.detector == "dlib"
+
+
 def test_a_picture_that_could_not_be_read_for_a_while_is_shown_when_it_is_back(tmp_path):
     for k in range(4):
         write_picture(tmp_path / f"{k}.png", np.full((8, 8, 3), 10 * k, np.uint8))

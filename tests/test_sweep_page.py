@@ -212,7 +212,14 @@ def test_refused_requests_are_said_in_a_sentence_and_leave_the_curve(page):
 
 def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_asked_for(head, clip):
     """The page warms up once; a second time it would take the place of the sweep, which waits for the first."""
-    page = SweepPage(TuningSession(head, clip, CONFIG), lambda seconds: True, 170)
+    session, running = TuningSession(head, clip, CONFIG), []
+    page, sweep = SweepPage(session, lambda seconds: True, 170), session.sweep
+
+    def seen(*asked, **options):
+        running.append(page.running)
+        return sweep(*asked, **options)
+
+    session.sweep = seen
     page.turned(True)
     page.first.choose(found_setting(sweep_settings(CONFIG), "steady head"))
     page.first.count.value = 3
@@ -222,6 +229,7 @@ def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_ask
     assert page.wait_idle(300)
     assert page.result is not None
     assert len(page.result.values) == 3
+    assert running == [False, True]  # opening another clip asks of the second alone
     page.close()
 
 

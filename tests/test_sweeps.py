@@ -319,7 +319,7 @@ def test_a_sweep_that_never_began_leaves_its_folder_free(clips, tmp_path):
 
 
 def test_landmarks_belong_to_the_detector_that_runs(head, monkeypatch):
-    """A sweep that is gone on with by a workbench whose "auto" is another detector finds them anew."""
+    """A sweep resumed by a workbench whose "auto" is another detector finds them anew."""
     pictures, file = (str(sample(name)) for name in ("performance", "performance-landmarks"))
 
     def digests(runs, detector="auto"):

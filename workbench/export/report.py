@@ -296,7 +296,8 @@ def _origin(track: Track) -> str:
     rows = [("input", f"{item['path']}  sha256 {item['sha256'][:16]}…") for item in meta.get("inputs", [])]
     if meta.get("landmarks"):
         rows.append(("landmarks", f"{meta['landmarks']['path']}  sha256 {meta['landmarks']['sha256'][:16]}…"))
-    rows.append(("detector", meta.get("detector") or "none: landmarks from a file"))
+    if "detector" in meta:  # what a session exports does not say
+        rows.append(("detector", meta["detector"] or "none: landmarks from a file"))
     if meta.get("model"):
         rows.append(("model", f"{meta['model']['name']}  sha256 {meta['model']['sha256'][:16]}…"))
     rows += [(name, str(version)) for name, version in meta.get("versions", {}).items()]

@@ -11,7 +11,7 @@ from workbench.landmarks.observations import Landmarks2D
 AUTO = "auto"
 """Not a detector's name but a choice, which leaves it to the workbench: `RECOMMENDED`."""
 RECOMMENDED = "network"
-"""The detector that runs under "auto": it finds most faces, is nearest to them, and needs no other package."""
+"""The detector that runs under "auto": it finds the most faces, comes nearest to them, and needs no other package."""
 Effort = Literal["quick", "thorough", "full"]
 """How hard to look for faces: at every frame, now and then, once per shot."""
 Box = tuple[float, float, float, float]

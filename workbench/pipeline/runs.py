@@ -184,6 +184,9 @@ def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
         names = [name for name in {**was, **now} if was.get(name) != now.get(name)]
         listed = ", ".join(f"{name} {was.get(name, 'none')}, now {now.get(name, 'none')}" for name in names)
         return f"that was begun with other versions ({listed}); install those again, name another folder"
+    ran, runs = made.get("detector"), wanted[0]["detector"]
+    if ran and runs and ran != runs and _fingerprint({**made, "detector": runs}) in map(_fingerprint, wanted):
+        return f"that was begun with the detector {ran}; go on with --detector {ran}, name another folder"
     return "of another input or configuration; name another folder"
 
 

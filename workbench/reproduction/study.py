@@ -19,6 +19,7 @@ from workbench.config import preset
 from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
+from workbench.landmarks.detection import RECOMMENDED
 from workbench.pipeline import Progress
 from workbench.plots import LIGHT, Picture, on_page
 from workbench.reading import checked_content, checked_json, reading
@@ -117,7 +118,7 @@ def run(
     folder, made = make_folder(folder), []
     for item in items:
         own = make_folder(folder / item.name)
-        basis = {"version": workbench.__version__, "quick": quick}
+        basis = {"version": workbench.__version__, "quick": quick, "detector": RECOMMENDED}
         if item.reads_set:
             basis["boston"] = "" if boston is None else [str(boston.resolve()), _stamps(boston)]
         if item.reads_clip:

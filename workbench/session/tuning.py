@@ -345,11 +345,13 @@ def open_session(
 ) -> TuningSession:
     """A session on a photo, photos, a clip, a landmark file, a run's folder, a `Track` or its file, or a `Material`.
 
-    `config` is a configuration or the name of a preset; a track has its own. `progress` and `seen` are as for
+    `config` is a configuration or the name of a preset; a track has its own, and presets leave how its points were
+    found. `progress` and `seen` are as for
     `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read, and `InputError` for a track
     of another model than the default head without `model`, or with `landmarks`.
     """
-    if isinstance(config, str):
+    named = isinstance(config, str)
+    if named:
         config = preset(config)
     if isinstance(inputs, Material):
         return TuningSession(model, inputs, config)
@@ -365,4 +367,7 @@ def open_session(
         raise InputError("A track has its own landmarks; open its pictures to give them others.")
     if model is None:
         check_default_head(inputs.meta)
-    return TuningSession(model, material_of_track(inputs), config or config_of_track(inputs.meta))
+    made = config_of_track(inputs.meta)
+    if named and made is not None:
+        config = config.changed(landmarks=made.landmarks.kept_by_presets())
+    return TuningSession(model, material_of_track(inputs), config or made)

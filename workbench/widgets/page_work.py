@@ -40,7 +40,7 @@ class PageWork(Generic[Request]):
         self.stop = small_button("stop", stop_tip)
         self.stop.on_click(lambda _button: self.submit(None))
         self.running = False
-        """Whether a request is worked on."""
+        """Whether work runs that is `shown`: it was asked for, and would be lost."""
 
     def stopping(self) -> bool:
         """For use inside `work`, between two of its parts: the panel gets its turn first."""
@@ -51,17 +51,14 @@ class PageWork(Generic[Request]):
     def shown(self, total: int = 1) -> Iterator[None]:
         """Show the bar meanwhile."""
         self.progress.max, self.progress.value, self.progress.layout.visibility = total, 0, "visible"
+        self.running = True
         try:
             yield
         finally:
-            self.progress.layout.visibility = "hidden"
+            self.progress.layout.visibility, self.running = "hidden", False
 
     def _serve(self, request: Request | None) -> None:
         if request is not None:
-            self.running = True
-            try:
-                self._work(request)
-            finally:
-                self.running = False
+            self._work(request)
         elif self._stopped:
             self._said.say(self._stopped)

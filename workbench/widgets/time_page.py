@@ -47,8 +47,9 @@ class TimePage:
         views: ClipViews,
     ) -> None:  # fmt: skip
         self._session = session
-        self.frame, self.running = 0, False
-        """The frame in view, and whether infill or refinement run."""
+        self.frame, self._busy = 0, False
+        self.running = False
+        """Whether infill or refinement run."""
         self.knobs: dict[str, KnobControl] = {}
         self._views = views
         self.is_clip = len(session) > 1 and not session.material.stills
@@ -154,7 +155,7 @@ class TimePage:
         if not self.is_clip:
             return
         _, part, worked = self._shown_now()
-        if not self.running:
+        if not self._busy:
             self.result.show(result_html(worked))
         self.sides.tooltips = [
             "the single-frame fits",
@@ -208,24 +209,25 @@ class TimePage:
             self.result.say("Cancelled; finished results are kept.")
             return
         temporal, part = self._session.temporal, self.played.wanted
-        self.progress.value, self.progress.layout.visibility, self.running = 0, "visible", True
+        self.progress.value, self.progress.layout.visibility, self._busy = 0, "visible", True
         try:
             if wanted == "flagged":
                 flagged = temporal.mark_flagged(part, self._told, self._worker.newer)
                 if not self._worker.newer():
                     self.result.say(f"{len(flagged)} flagged, marked as failed." if flagged else "No frame is flagged.")
                 return
+            self.running = True
             if wanted == "compare":
                 done = temporal.compare(part, self._told, self._worker.newer)
             else:
                 done = temporal.run(part, None, self._told, self._worker.newer)
             if done is not None:
-                self.running = False
+                self._busy = False
                 self.result.forget()
                 self.sides.value = AFTER
                 self.show_result()
         finally:
-            self.progress.layout.visibility, self.running = "hidden", False
+            self.progress.layout.visibility, self._busy, self.running = "hidden", False, False
 
     def _told(self, step: str, done: int, total: int | None) -> None:
         # Not for every frame, because too many updates make the browser fall behind.
