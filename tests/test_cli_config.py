@@ -45,6 +45,21 @@ def test_check_tells_preset_version_and_distance_of_each_file(run, tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("section", "key"),
+    [("camera", "rig"), ("deep", "network"), ("flow", "estimator"), ("landmarks", "face_landmarker"),
+     ("head", "character")],
+)  # fmt: skip
+def test_check_tells_a_file_that_is_named_and_not_there(section, key, run, tmp_path):
+    (tmp_path / "mine.toml").write_text(f'preset = "joint"\n[{section}]\n{key} = "other/own.toml"\n')
+    code, out, _ = run("config", "check", "mine.toml")
+    assert code == 2
+    assert f"{section}.{key} names 'other/own.toml', and there is no such file here" in " ".join(out.split())
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "own.toml").touch()
+    assert run("config", "check", "mine.toml")[0] == 0
+
+
 def test_check_goes_on_after_a_bad_file_and_fails(run, tmp_path):
     (tmp_path / "bad.toml").write_text("[weights]\ntua = 0.5\n")
     (tmp_path / "good.toml").write_text("")

@@ -202,11 +202,28 @@ def test_convert_of_a_converted_file_keeps_its_source(one_stack_file, tmp_path):
     assert read_weights(tmp_path / "again.safetensors").metadata == first.metadata
 
 
-def test_show_tells_what_a_file_holds(one_stack_file, run):
+def test_weights_that_are_there_are_replaced_only_where_that_is_asked_for(one_stack_file, tmp_path, run):
+    (tmp_path / "fan.safetensors").write_text("mine")
+    code, _, err = run("weights", "convert", str(one_stack_file))
+    assert code == 2
+    assert "fan.safetensors exists already; name another (--out), or add --overwrite." in err
+    assert (tmp_path / "fan.safetensors").read_text() == "mine"
+    assert run("weights", "convert", str(one_stack_file), "--overwrite")[0] == 0
+    assert read_weights(tmp_path / "fan.safetensors").metadata["architecture"] == "fan"
+
+
+def test_show_tells_what_a_file_holds(one_stack_file, tmp_path, run):
     code, out, _ = run("weights", "show", str(one_stack_file))
     assert code == 0
     assert "3DFAN1.pth.tar" in out
     assert "source_sha256" in out
+    assert "fan" in architecture_in(out)
+    torch.save({"a": torch.zeros(3)}, tmp_path / "other.pth")
+    assert "none that the workbench knows" in architecture_in(run("weights", "show", "other.pth")[1])
+
+
+def architecture_in(out: str) -> str:
+    return next(line for line in out.splitlines() if "architecture" in line)
 
 
 def test_converting_another_file_writes_nothing_and_says_what_was_expected(tmp_path, run):

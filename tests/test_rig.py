@@ -462,6 +462,24 @@ def test_opencvs_stereo_sample_writes_two_files_without_a_picture_size(tmp_path)
         read_rig(first, image_size=SIZE)
 
 
+def test_the_files_of_two_pairs_are_no_rig(tmp_path):
+    files = [save_opencv(tmp_path / name, **PAIR, **WIDTH_HEIGHT) for name in ("ab.yml", "ac.yml")]
+    with pytest.raises(InputError, match=r"of several pairs of cameras; .*three cameras and more one file for each"):
+        read_rig(files)
+
+
+def test_a_picture_size_that_is_asked_for_is_that_of_the_file(tmp_path):
+    path = save_opencv(tmp_path / "stereo.yml", **PAIR, **WIDTH_HEIGHT)
+    assert_same(read_rig(path, image_size=SIZE), read_rig(path), rtol=0, atol=0)
+    with pytest.raises(InputError, match="pictures are 640 × 480, and 320 × 240 was asked for; leave out --size"):
+        read_rig(path, image_size=(320, 240))
+
+
+def test_an_ordinary_calibration_of_opencvs_sample_names_its_model(tmp_path):
+    path = save_opencv(tmp_path / "stereo.yml", **PAIR, **WIDTH_HEIGHT, fisheye_model=0)
+    assert read_rig(path).names == ("camera1", "camera2")
+
+
 @pytest.mark.parametrize("as_matrix", [True, False])
 def test_a_file_a_camera_of_opencv_is_read(tmp_path, as_matrix):
     rig = random_rig(8)
@@ -601,6 +619,7 @@ LONE = {"K1": None, "K2": None, "K": MATRIX}
         (opencv(D1=np.full((1, 14), 0.1)), "camera 1: .*thin-prism and tilt terms"),
         (opencv(K1=np.diag([-1.0, 1.0, 1.0])), "positive focal"),
         (opencv(unit="feet"), "unit is 'feet'"),
+        (opencv(fisheye_model=1), "of OpenCV's fisheye model; calibrate with"),
         (opencv(T=TRANSLATION / 1000), "mm apart.*unit"),
         (opencv(image_width=300), "principal point .* lies outside"),
         (opencv(**LONE, R=None), "where its camera stands: no rotation"),

@@ -295,6 +295,13 @@ def test_convert_turns_opencvs_files_into_a_rig(run, tmp_path):
     rig = read_rig(tmp_path / "rig.toml")
     np.testing.assert_allclose(rig.translation_view_reference_mm[1], 10 * moved_cm, atol=1e-9)
     assert rig.views[1].image_size == (1280, 720)
+    (tmp_path / "rig.toml").write_text("mine")
+    code, _, err = run("rig", "convert", *files, "--unit", "cm", "--size", "1280x720")
+    assert code == 2
+    assert "rig.toml exists already; name another (--out), or add --overwrite." in err
+    assert (tmp_path / "rig.toml").read_text() == "mine"
+    assert run("rig", "convert", *files, "--unit", "cm", "--size", "1280x720", "--overwrite")[0] == 0
+    assert read_rig(tmp_path / "rig.toml").names == rig.names
 
 
 @pytest.mark.parametrize(

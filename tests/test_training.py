@@ -578,6 +578,23 @@ class TestLoop:
         write_second_shard(tmp_path)
         assert len(open_pool(tmp_path, pictures)) == opened * SHARD
 
+    @pytest.mark.parametrize("part", [0, 1])
+    @pytest.mark.parametrize("cut", [0, 0.5])
+    def test_a_damaged_pool_is_reported_with_what_to_do(self, tmp_path, part, cut):
+        write_dotted_pool(tmp_path)
+        path = shard_paths(tmp_path, 0)[part]
+        path.write_bytes(path.read_bytes()[: int(cut * path.stat().st_size)])
+        with pytest.raises(InputError, match=f"{path.name} cannot be read as a part of a training's pool .*; delete"):
+            open_pool(tmp_path)
+
+    @pytest.mark.parametrize("cut", [0, 0.5])
+    def test_a_damaged_checkpoint_is_reported_with_what_to_do(self, pool_folder, tmp_path, monkeypatch, cut):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = tmp_path / "checkpoint.pt"
+        checkpoint.write_bytes(checkpoint.read_bytes()[: int(cut * checkpoint.stat().st_size)])
+        with pytest.raises(InputError, match=r"checkpoint\.pt cannot be read as a training's checkpoint .*--overwrite"):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):
             open_pool(tmp_path)

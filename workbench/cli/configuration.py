@@ -22,6 +22,7 @@ from workbench.config import (
     preset,
     read_config,
 )
+from workbench.config.files import absent_files
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.reading import shortened, toml_tables
@@ -150,6 +151,11 @@ def _print_text(text: str, language: str) -> None:
 def _described(file: Path) -> str:
     """Preset, version and distance from the preset. Raises `ConfigError` for a file that cannot be run."""
     config = read_config(file)
+    for setting, name in absent_files(config).items():
+        raise ConfigError(
+            f"{file}: {setting} names {shortened(repr(name))}, and there is no such file here; run it from the folder "
+            "where that is, or give the whole path."
+        )
     stored = toml_tables(file, ConfigError).get("version", VERSION)
     version = f"version {stored}" if stored == VERSION else f"version {stored}, migrated to version {VERSION}"
     changed = len(differences(preset(config.preset), config))

@@ -11,7 +11,7 @@ from rich.markup import escape
 import workbench
 from workbench.cli import screen
 from workbench.errors import InputError
-from workbench.files import atomic_path, check_not_inputs
+from workbench.files import atomic_path, check_new, check_not_inputs
 
 GROUP_HELP = """Rigs of several calibrated cameras: what is in a file, and whether landmarks agree with it.
 
@@ -104,10 +104,13 @@ def convert(
     unit: UnitOption = None,
     size: SizeOption = None,
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("rig.toml"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a rig as rig.toml."""
     rig = workbench.geometry.read_rig(files, unit, _image_size(size))
     check_not_inputs([out], files)
+    if not overwrite:
+        check_new(out)
     workbench.geometry.write_rig(rig, out)
     _print_report(workbench.geometry.rig_report(rig))
     screen.console.print(f"wrote {escape(str(out))}", soft_wrap=True)

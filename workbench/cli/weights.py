@@ -50,9 +50,10 @@ def convert(
     out: Annotated[
         Path | None, typer.Option(help="File to write; named after the network by default: fan.safetensors, ...")
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
     """Convert a published checkpoint to safetensors."""
-    written = workbench.networks.convert_checkpoint(file, out)
+    written = workbench.networks.convert_checkpoint(file, out, overwrite)
     _tell(written.origin, written.metadata, written.arrays)
 
 
@@ -60,7 +61,8 @@ def convert(
 def show(file: Annotated[Path, typer.Argument(help="Weights file, converted or as published.")]) -> None:
     """Tell what a weights file holds."""
     weights = workbench.networks.read_checkpoint(file)
-    _tell(weights.origin, weights.metadata, weights.arrays)
+    known = workbench.networks.architecture_of(weights) or "none that the workbench knows"
+    _tell(weights.origin, {**weights.metadata, "architecture": known}, weights.arrays)
 
 
 def _tell(name: str, metadata: dict, arrays: dict) -> None:

@@ -49,6 +49,16 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
     return validated(base, origin)
 
 
+def absent_files(config: Config) -> dict[str, str]:
+    """The files, by setting, that a configuration names and that are not there, seen from the current folder."""
+    named = {f"{section}.{key}": getattr(getattr(config, section), key) for section, key in NAMED_FILES}
+    files = {setting: name for setting, name in named.items() if Path(name).suffix}
+    files["landmarks.face_landmarker"] = config.landmarks.face_landmarker
+    absent = {setting: name for setting, name in files.items() if name and not Path(name).exists()}
+    worn = config.head.character
+    return absent if is_there(worn) else absent | {"head.character": worn}
+
+
 def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     """The configuration that a track was made with, by its metadata; None where it holds none.
 

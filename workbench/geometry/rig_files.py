@@ -61,7 +61,7 @@ _WANTED = re.compile(
         [
             *(f"{name}[12]?" for name in (*MATRIX_NAMES, *DISTORTION_NAMES, "name")),
             *(*ROTATION_NAMES, *TRANSLATION_NAMES, *SIZE_NAMES),
-            *("image_width", "image_height", "unit", "pose"),
+            *("image_width", "image_height", "unit", "pose", "fisheye_model"),
         ]
     )
 )
@@ -174,11 +174,15 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str], need
 
 def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int, int] | None) -> Rig:
     files = [read_opencv_file(path, _WANTED) for path in paths]
+    for path, file in zip(paths, files, strict=True):
+        if file.get("fisheye_model"):
+            raise InputError(f"{path} is of OpenCV's fisheye model; calibrate with the ordinary or the rational one.")
     merged: dict[str, Any] = {}
     for file in files:
         merged |= file
     where = " and ".join(map(str, paths))
     if _named(merged, MATRIX_NAMES, "1") is not None:
+        _check_one_pair(where, files)
         return _stereo(where, merged, unit, image_size)
     views = []
     for path, name, file in zip(paths, _file_names(paths), files, strict=True):
@@ -199,6 +203,16 @@ def _file_names(paths: Sequence[Path]) -> list[str]:
     """What cameras are called after their files: the stems, or where stems are alike the folders."""
     stems = [path.stem for path in paths]
     return [path.absolute().parent.name if stems.count(path.stem) > 1 else path.stem for path in paths]
+
+
+def _check_one_pair(where: str, files: Sequence[Mapping[str, Any]]) -> None:
+    """Raise `InputError` for the files of several pairs, which have no place for one another."""
+    matrices = sum(_named(file, MATRIX_NAMES, "1") is not None for file in files)
+    if matrices > 1 or sum(file.get("R") is not None for file in files) > 1:
+        raise InputError(
+            f"{where} are of several pairs of cameras; name those of one pair, or for three cameras and more one file "
+            "for each, with its matrix and where it stands."
+        )
 
 
 def _stereo(where: str, file: Mapping[str, Any], unit: str | None, image_size: tuple[int, int] | None) -> Rig:
@@ -243,7 +257,11 @@ def _opencv_size(where: str | Path, file: Mapping[str, Any], image_size: tuple[i
         stored = [file["image_width"], file["image_height"]]
     if stored is None and image_size is None:
         raise InputError(f"{where} names no picture size (image_width, image_height); say it with --size, as 1280x720.")
-    return _image_size(str(where), stored if stored is not None else image_size)
+    size = _image_size(str(where), stored if stored is not None else image_size)
+    if image_size is not None and size != image_size:
+        told, asked = (f"{width} × {height}" for width, height in (size, image_size))
+        raise InputError(f"{where} says that its pictures are {told}, and {asked} was asked for; leave out --size.")
+    return size
 
 
 # --- both ---

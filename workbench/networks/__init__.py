@@ -29,6 +29,7 @@ from workbench.networks.landmark_network import Calibration as Calibration
 from workbench.networks.landmark_network import LandmarkNetwork as LandmarkNetwork
 from workbench.networks.landmark_network import read_landmark_network as read_landmark_network
 from workbench.networks.landmark_network import save_landmark_network as save_landmark_network
+from workbench.networks.published import architecture_of as architecture_of
 from workbench.networks.published import convert_checkpoint as convert_checkpoint
 from workbench.networks.raft import RaftSmall as RaftSmall
 from workbench.networks.raft import read_raft as read_raft

@@ -12,7 +12,7 @@ from workbench.face import load_default_head
 from workbench.files import atomic_path
 from workbench.training.augment import random_background
 from workbench.training.flow_scenes import PairStudio, RenderedPair
-from workbench.training.pool import make_shards
+from workbench.training.pool import array_on_disk, make_shards
 from workbench.training.skin import skin_painter
 
 SHARD = 120
@@ -93,7 +93,7 @@ def open_pair_pool(folder: Path, pairs: int | None = None) -> PairPool:
     if not files:
         raise InputError(f"{folder} holds no pool of rendered pairs: `workbench train flow FOLDER` makes one")
     return PairPool(**{
-        name: [np.load(paths[name], mmap_mode="r", allow_pickle=False) for paths in files] for name in PARTS
+        name: [array_on_disk(paths[name]) for paths in files] for name in PARTS
     })  # fmt: skip
 
 

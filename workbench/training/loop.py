@@ -305,7 +305,7 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
     """
     plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
-    state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
+    state = _checkpoint(folder / "checkpoint.pt", "cpu")
     network.load_state_dict(state["average"])
     arrays = task.arrays(network)
     if start is not None and plan.learned < 1.0:
@@ -393,11 +393,16 @@ def _single_threaded(_worker: int) -> None:
     torch.set_num_threads(1)
 
 
+def _checkpoint(path: Path, device: str | torch.device) -> dict[str, Any]:
+    with reading(path, "a training's checkpoint", "add --overwrite to train anew; the pool stays"):
+        return torch.load(path, map_location=device, weights_only=True)
+
+
 def _resumed(path: Path, network, optimiser, average: dict[str, Tensor], running: dict[str, Tensor]) -> int:
     """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there."""
     if not path.is_file():
         return 0
-    state = torch.load(path, map_location=next(network.parameters()).device, weights_only=True)
+    state = _checkpoint(path, next(network.parameters()).device)
     network.load_state_dict(state["network"])
     optimiser.load_state_dict(state["optimiser"])
     for name, value in state["average"].items():

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.files import atomic_path, make_folder
+from workbench.reading import reading
 from workbench.training.expressions import partly_fitted
 from workbench.training.scenes import EYES_VIEW, FACE_VIEW, FaceStudio, looking_around, random_expression
 from workbench.training.skin import skin_painter
@@ -19,6 +20,8 @@ from workbench.training.skin import skin_painter
 SHARD = 240
 """Pictures in one file pair."""
 PICTURES_OF_A_PERSON = 4
+DAMAGED = "a part of a training's pool", "delete it and repeat the command, which renders it again"
+"""What a file of a pool should be, and what to do where it is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,15 +151,26 @@ def open_pool(folder: Path, pictures: int | None = None) -> Pool:
         shards = shards[: -(-pictures // SHARD)]
     if not shards:
         raise InputError(f"{folder} holds no pool of rendered heads: `workbench train landmarks FOLDER` makes one")
-    numbers = [np.load(path, allow_pickle=False) for path, _ in shards]
+    numbers = [_numbers_in(path) for path, _ in shards]
     return Pool(
-        pictures=[np.load(path, mmap_mode="r", allow_pickle=False) for _, path in shards],
+        pictures=[array_on_disk(path) for _, path in shards],
         points=[shard["points"] for shard in numbers],
         vertices=[shard["vertices"] for shard in numbers],
         angles_deg=[shard["angles"] for shard in numbers],
         expressions=[shard["expressions"] for shard in numbers],
         worn_glasses=[shard["glasses"] for shard in numbers],
     )
+
+
+def array_on_disk(path: Path) -> np.ndarray:
+    """An array of a pool, read as it is used. Raises `InputError` for a damaged file."""
+    with reading(path, *DAMAGED):
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+
+
+def _numbers_in(path: Path) -> dict[str, np.ndarray]:
+    with reading(path, *DAMAGED), path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+        return dict(stored)
 
 
 def halves(pool: Pool) -> tuple[Pool, Pool]:
