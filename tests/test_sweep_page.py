@@ -212,15 +212,17 @@ def test_refused_requests_are_said_in_a_sentence_and_leave_the_curve(page):
 
 def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_asked_for(head, clip):
     """The page warms up once; a second time it would take the place of the sweep, which waits for the first."""
-    session, running = TuningSession(head, clip, CONFIG), []
+    session, running, begun = TuningSession(head, clip, CONFIG), [], threading.Event()
     page, sweep = SweepPage(session, lambda seconds: True, 170), session.sweep
 
     def seen(*asked, **options):
         running.append(page.running)
+        begun.set()
         return sweep(*asked, **options)
 
     session.sweep = seen
     page.turned(True)
+    assert begun.wait(60)
     page.first.choose(found_setting(sweep_settings(CONFIG), "steady head"))
     page.first.count.value = 3
     page.run()
