@@ -15,7 +15,7 @@ from workbench.session.gesture import Gesture
 from workbench.session.history import Step
 from workbench.session.landmark_edits import check_movable, moved, put_back, weighed, with_subset
 from workbench.session.material import Cancelled, Material, Progress, load_material, stored_track
-from workbench.session.tuned_config import TunedConfig, snapshot_title
+from workbench.session.tuned_config import TunedConfig, preset_on, snapshot_title
 from workbench.tracking import FrameObservation
 from workbench.tracking.unwatched import never
 
@@ -345,14 +345,13 @@ def open_session(
 ) -> TuningSession:
     """A session on a photo, photos, a clip, a landmark file, a run's folder, a `Track` or its file, or a `Material`.
 
-    `config` is a configuration or the name of a preset; a track has its own, and presets leave how its points were
-    found. `progress` and `seen` are as for
-    `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read, and `InputError` for a track
-    of another model than the default head without `model`, or with `landmarks`.
+    `config` is a configuration or the name of a preset; a track has its own, and a preset keeps how its points were
+    found. `progress` and `seen` are as for `load_material`. Raises `InputError` and `ConfigError` if one of them cannot
+    be read, and `InputError` for a track of another model than the default head without `model`, or with `landmarks`.
     """
-    named = isinstance(config, str)
-    if named:
-        config = preset(config)
+    name = config if isinstance(config, str) else None
+    if name is not None:
+        config = preset(name)
     if isinstance(inputs, Material):
         return TuningSession(model, inputs, config)
     photos = landmarks is not None or stills  # of a folder, whatever else is in it
@@ -368,6 +367,6 @@ def open_session(
     if model is None:
         check_default_head(inputs.meta)
     made = config_of_track(inputs.meta)
-    if named and made is not None:
-        config = config.changed(landmarks=made.landmarks.kept_by_presets())
+    if name is not None and made is not None:
+        config = preset_on(name, made)
     return TuningSession(model, material_of_track(inputs), config or made)
