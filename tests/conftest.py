@@ -1,5 +1,6 @@
 """Shared set-up: one compilation cache for the whole run and its subprocesses, shared models."""
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests import selection
+from tests import selection, type_checks
 from tests.fuzzing import Tally
 from tests.memory import let_go_of_programs
 
@@ -23,6 +24,7 @@ os.environ.setdefault("MPLBACKEND", "agg")
 # Before NumPy and JAX make a thread a core: with two processes their threads wait for one another most of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 selection.keep_to_its_cores(browser=False)
+type_checks.install()
 # PyTorch's builds for CUDA load triton, whose LLVM crashes in a process that has drawn with a software GL's.
 sys.modules.setdefault("triton", None)
 
@@ -58,7 +60,13 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: selection.turn(item.path))
 
 
+def pytest_collection_finish():
+    # Modules and tests stay to the end: looking through them for garbage takes half a second each time.
+    gc.freeze()
+
+
 def pytest_runtest_setup(item):
+    type_checks.begin_test()
     # Chromium, server and kernel of a browser test are processes of their own.
     selection.keep_to_its_cores(browser=item.get_closest_marker("browser") is not None)
 

@@ -318,6 +318,7 @@ def test_no_teeth_show_between_resting_lips(head):
         assert teeth_area(head, shaped(head) @ turn.T) < 1.0
 
 
+@pytest.mark.long
 def test_few_identities_show_teeth_at_rest(head):
     areas = np.array([teeth_area(head, shaped(head, identity)) for identity in identities(20)])
     # The raw units show more than 0.5 mm2 on 85 % of identities, 7 mm2 on average.

@@ -355,7 +355,7 @@ def compare_with_differentiation(energy, parameters, free, terms, looser=1.0):
     )
     residual, jacobian = np.concatenate([single, others]), np.concatenate([single_slopes, slopes])
     matrix = slopes.T @ slopes + curvature
-    system = normal_system(energy, parameters, free, terms)
+    system = jax.jit(normal_system, static_argnames=("free", "terms"))(energy, parameters, free=free, terms=terms)
     scale = np.abs(matrix).max()
     np.testing.assert_allclose(system.cost, residual @ residual, rtol=1e-10 * looser)
     np.testing.assert_allclose(system.gradient, jacobian.T @ residual, rtol=1e-8 * looser, atol=1e-9 * scale * looser)

@@ -157,7 +157,7 @@ Not every blink comes out as clearly: in frame 38 of obama, shut and blurred, th
 """
 
 
-@pytest.mark.parametrize("detector", ["auto", pytest.param("dlib+network", marks=needs_dlib)])
+@pytest.mark.parametrize("detector", ["auto", pytest.param("dlib+network", marks=[needs_dlib, pytest.mark.long])])
 @pytest.mark.parametrize("clip", SHUT)
 def test_shut_eyes_of_a_clip_are_fitted_as_shut_and_open_ones_as_open(clip, detector, tmp_path):
     path = sample("performance") if clip == "performance" else REAL_DATA / f"{clip}.mp4"

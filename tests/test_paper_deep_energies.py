@@ -586,6 +586,7 @@ def test_the_parallel_stages_are_those_of_app_c_2():
     assert {shape for stage in stages for shape in stage.shapes} == {"first:10"}
 
 
+@pytest.mark.long
 def test_averaging_weighs_the_current_frame_more_heavily():
     centre = preset("deep").refinement.centre
     assert centre > 0.5 * (1.0 - centre)

@@ -124,6 +124,7 @@ def test_profiles_of_real_people_are_found(name, detector):
 
 
 @needs_dlib
+@pytest.mark.long
 def test_dlibs_points_give_way_to_the_networks_as_the_head_turns():
     pictures, points = turned("ravi", YAWS_DEG)
     tracker = LandmarkTracker(make_detector("dlib+network"), options_for("dlib+network"))

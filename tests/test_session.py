@@ -16,6 +16,7 @@ from workbench.cli import app
 from workbench.config import PRESETS, Hashed, Stage, preset, read_config, write_config
 from workbench.errors import ConfigError, InputError
 from workbench.export.sources import pictures_of
+from workbench.export.summary import summary_of
 from workbench.frames import open_frames, read_picture, write_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -513,6 +514,20 @@ def test_other_pictures_in_the_place_of_the_tracked_ones_are_not_tuned_on(head, 
     assert not session.material.pictures.real
     assert session.material.sources() == []
     assert performance_track(session).meta["inputs"] == []
+
+
+def test_what_a_session_exports_says_what_found_its_landmarks(head, photo, tmp_path):
+    config = QUICK.changed(landmarks={"detector": "network"})
+    session = open_session(sample("astronaut"), config, model=head)
+    track = performance_track(session)
+    assert track.meta["detector"] == "network"
+    assert summary_of([track])["detector"] == "network"
+    track.save(tmp_path / "track.npz")
+    shown = open_session(tmp_path, model=head)
+    assert performance_track(shown).meta["detector"] == "network"
+    from_file = open_session(sample("astronaut"), QUICK, landmarks=sample("astronaut-landmarks"), model=head)
+    assert performance_track(from_file).meta["detector"] is None
+    assert "detector" not in performance_track(TuningSession(head, photo, QUICK)).meta
 
 
 @pytest.fixture

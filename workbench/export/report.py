@@ -296,7 +296,7 @@ def _origin(track: Track) -> str:
     rows = [("input", f"{item['path']}  sha256 {item['sha256'][:16]}…") for item in meta.get("inputs", [])]
     if meta.get("landmarks"):
         rows.append(("landmarks", f"{meta['landmarks']['path']}  sha256 {meta['landmarks']['sha256'][:16]}…"))
-    if "detector" in meta:  # what a session exports does not say
+    if "detector" in meta:  # a session on a picture in memory cannot say
         rows.append(("detector", meta["detector"] or "none: landmarks from a file"))
     if meta.get("model"):
         rows.append(("model", f"{meta['model']['name']}  sha256 {meta['model']['sha256'][:16]}…"))

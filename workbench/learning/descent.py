@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.extras import needs
 from workbench.files import atomic_path
@@ -165,7 +166,7 @@ def _mean(slope: Slope, logs: Logs, examples: Sequence[Example]) -> tuple[float,
     return float(np.mean(values)), jax.tree.map(lambda *parts: sum(parts) / len(parts), *slopes)
 
 
-def _listed(logs: Mapping[str, jax.Array]) -> dict[str, list[float]]:
+def _listed(logs: Mapping[str, Float[AnyArray, "m"]]) -> dict[str, list[float]]:
     return {path: [float(number) for number in np.asarray(log)] for path, log in logs.items()}
 
 

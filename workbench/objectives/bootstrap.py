@@ -1,7 +1,7 @@
 """Bootstrap over runs of frames: how sure a mean is, or a choice that was made by means."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
 RUN = 10
 """Frames that a draw takes in a row: neighbours are alike, and one by one would make intervals too narrow."""
@@ -34,7 +34,7 @@ def interval_of(drawn: Float[np.ndarray, "d"], of_drawn: bool = False) -> tuple[
     return float(low), float(high)
 
 
-def _in_runs(values: Float[np.ndarray, "m n"] | Int[np.ndarray, "m n"], run: int) -> Float[np.ndarray, "s m"]:
+def _in_runs(values: Float[np.ndarray, "m n"] | Bool[np.ndarray, "m n"], run: int) -> Float[np.ndarray, "s m"]:
     """Sums of `run` frames from each on."""
     before = np.concatenate([np.zeros((len(values), 1)), np.cumsum(values, axis=1)], axis=1)
     return (before[:, run:] - before[:, :-run]).T

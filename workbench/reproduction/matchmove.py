@@ -82,7 +82,7 @@ def track_dots(pictures: Sequence[UInt8[np.ndarray, "h w 3"]], first: Float[np.n
     return TrackedDots(np.array(pixels, float), np.array(seen))
 
 
-def poses_of_dots(dots: TrackedDots, points_head: Float[np.ndarray, "n 3"], camera: Camera) -> Poses:
+def poses_of_dots(dots: TrackedDots, points_head: Float[np.ndarray, "dots 3"], camera: Camera) -> Poses:
     """The pose of each frame from the dots that agree on one; NaN where fewer than four do."""
     poses = np.full((len(dots.pixels), 3), np.nan), np.full((len(dots.pixels), 3), np.nan)
     matrix = camera_matrix(camera)

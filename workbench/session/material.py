@@ -112,6 +112,8 @@ class Material:
     """Frames per second of the pictures that a stored run was tracked on, which may be gone."""
     network: str | None = None
     """`deep.network` of a stored run of Deep Energies, whose landmarks are this network's answers; else None."""
+    detector: str | None = None
+    """What found the landmarks in the inputs; None: they are from a file."""
     opened: OpenedFiles | None = None
     """The inputs, the landmark file and the views as they were opened; None: as they are now."""
 
@@ -213,7 +215,7 @@ def load_material(
     frames = None if is_landmark_file(paths[0]) else source.frames
     sizes = [observation.image_size for observation in found]
     name, store = source.frames.name, PictureStore(frames, sizes)
-    return Material(name, tuple(found), store, stills, tuple(paths), file, opened=opened)
+    return Material(name, tuple(found), store, stills, tuple(paths), file, detector=source.detector, opened=opened)
 
 
 def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:

@@ -39,6 +39,8 @@ def performance_track(
         "rate": material.rate,
         "versions": software_versions(),
     }
+    if material.detector or material.inputs:  # what found the landmarks of a picture in memory, nobody said
+        meta["detector"] = material.detector
     return replace(track, meta=track.meta | meta)
 
 

@@ -64,6 +64,7 @@ def material_of_track(track: Track) -> Material:
         _moved(config),
         track.meta.get("rate"),
         config.deep.network if config is not None and config.traits.renders else None,
+        track.meta.get("detector"),
         opened,
     )
 

@@ -1,6 +1,7 @@
 """The knobs of a configuration in pages, with a search over all of them; helpers for buttons and menus."""
 
 from collections.abc import Mapping, Sequence, Set
+from typing import Any
 
 import ipywidgets as widgets
 import numpy as np
@@ -167,9 +168,7 @@ def narrow() -> widgets.Layout:
     return widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
 
 
-def menu(
-    options: Sequence[str] | Mapping[str, str], width: str, tip: str, value: str | None = None
-) -> widgets.Dropdown:
+def menu(options: Sequence[Any] | Mapping[str, Any], width: str, tip: str, value: Any = None) -> widgets.Dropdown:
     """A menu of fixed width; the first option is selected unless another is given."""
     chosen = {} if value is None else {"value": value}
     return widgets.Dropdown(

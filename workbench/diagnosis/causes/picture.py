@@ -244,7 +244,7 @@ def pose_jump(trial: Trial) -> Iterator[Finding]:
         + (f": look at frame {after.index}." if next_one else "."),
         direct=float(np.interp(above, [1.0, 3.0], [0.31, 0.38])),
         numbers={"arriving_deg": arriving, "leaving_deg": leaving, "arriving_mm": steps[0], "leaving_mm": steps[1]},
-        lasts=next_one,
+        lasts=bool(next_one),
         outranks=(),
     )
 
