@@ -22,6 +22,7 @@ from workbench.learning.search import Searched
 from workbench.objectives import Truth, read_sum
 from workbench.session import learning, open_session
 from workbench.sweeps import SweptClip, read_axis
+from workbench.sweeps.solving import ClipSolver
 
 FOV = {"camera": {"fov_deg": 33.0}}
 AXIS = "weights.tau=log(1e-3,10)"
@@ -120,14 +121,14 @@ def test_a_search_finds_better_values_keeps_its_best_and_goes_on(session, tmp_pa
         session.tune("labels", place=tmp_path / "none.toml", truth=tmp_path / "labels.npz", **options)
 
 
-class ByTau:
+class ByTau(ClipSolver):
     """Stands in for fits: a value is how far log ω_τ is from that of 0.3, plus 1; counts what was measured."""
 
-    model = load_default_head()
     clip = SweptClip("clip", "digest", (), False)
     stretches = (range(0, 12), range(12, 24), range(24, 36))
 
     def __init__(self, monkeypatch, folder):
+        super().__init__(load_default_head())
         monkeypatch.setattr(search, "value_of", self.value_of)
         self.journal, self.asked = folder / "a.study.log", []
 

@@ -157,8 +157,8 @@ class Trial:
             each = np.where(doubted, np.minimum(each, DOUBTED), each)
         return self.total(each)
 
-    def total(self, each: Float[np.ndarray, "points"]) -> float:
-        """The sum over the landmarks, each by its share."""
+    def total(self, each: Float[np.ndarray, "points"] | Bool[np.ndarray, "points"]) -> float:
+        """The sum over the landmarks, each by its share; of a mask: the shares of those that it names."""
         return float((self.shares * each).sum())
 
     def residual_costs(self, fit: FrameFit) -> Float[np.ndarray, "points"]:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,6 @@ from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.extras import needs
 from workbench.files import atomic_path
-from workbench.learning.examples import Example
 from workbench.learning.keys import ANEW
 from workbench.learning.learnable import FARTHEST, POINTS, Logs
 from workbench.reading import checked_content, checked_json
@@ -36,7 +36,9 @@ FAR_POINTS = 0.1
 """What the mean square of the landmarks' logarithms costs: without it, they wander to fit the noise of a few frames."""
 FORMAT = 2
 
-Slope = Callable[[Logs, Example], tuple[Float[jax.Array, ""], Logs]]
+Stretch = TypeVar("Stretch")
+"""What one slope is taken on, as an `Example`."""
+Slope = Callable[[Logs, Stretch], tuple[Float[jax.Array, ""], Logs]]
 Watched = Callable[[Mapping[str, Float[np.ndarray, "m"]]], float]
 """What some logarithms are worth on frames that are not learned on."""
 Limits = Mapping[str, tuple[float, float]]
@@ -83,9 +85,9 @@ def _size(vector):
 
 
 def descended(
-    slope: Slope,
+    slope: Slope[Stretch],
     begun: Learning,
-    train: Sequence[Example],
+    train: Sequence[Stretch],
     watched: Watched | None,
     steps: int,
     tell: Tell,
@@ -110,7 +112,7 @@ def descended(
     return found
 
 
-def _turn(train: Sequence[Example], step: int) -> list[Example]:
+def _turn(train: Sequence[Stretch], step: int) -> list[Stretch]:
     """The stretches of a step: far apart, each as often as any other."""
     count = min(AT_A_TIME, len(train))
     apart = max(len(train) // count, 1)
@@ -152,7 +154,7 @@ def _kept_in(path: str, log, limits: Limits):
     return log - jnp.mean(log) if path == POINTS else log
 
 
-def _mean(slope: Slope, logs: Logs, examples: Sequence[Example]) -> tuple[float, Logs]:
+def _mean(slope: Slope[Stretch], logs: Logs, examples: Sequence[Stretch]) -> tuple[float, Logs]:
     """Value and slope over some examples; a stretch without a finite slope does not count."""
     values, slopes = [], []
     for example in examples:

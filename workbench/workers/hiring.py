@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from workbench.errors import ConfigError
 from workbench.workers.processes import Pool, ThisProcess
@@ -12,6 +12,7 @@ from workbench.workers.tasks import Do, Task, run
 Kind = Literal["auto", "pool", "dask"]
 
 
+@runtime_checkable
 class Workers(Protocol):
     """Does tasks in any order."""
 
