@@ -91,6 +91,8 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
         (f'preset = "{"x" * 5000}"\n', "There is no preset 'x+ …"),
         (f'[[stages]]\nname = "{"x" * 5000}"\nfree = ["jaw"]\n', "stage 'x+ …"),
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nwhen = "start"\n', "no enabled stage runs on every frame"),
+        ('[[stages]]\nname = "a"\nfree = ["expression"]\nshapes = ["first:-3"]\n', "has 'first:-3'; write first:N"),
+        ('[[stages]]\nname = "a"\nfree = ["expression"]\nshapes = ["first:abc"]\n', "with a whole number N"),
     ],
 )
 def test_wrong_files_are_refused_with_a_hint(text, message, tmp_path):

@@ -288,9 +288,24 @@ class TestRecords:
         assert Landmarks2D(points, np.ones(68), SIZE, good).covariance.shape == (68, 2, 2)
         with pytest.raises(InputError, match=r"covariance \(2, 2\) for each of 68 landmarks, got shape \(67, 2, 2\)"):
             Landmarks2D(points, np.ones(68), SIZE, good[:67])
-        good[5] = [[1.0, 2.0], [2.0, 1.0]]
-        with pytest.raises(InputError, match=r"covariance of landmark 5 is .* positive definite"):
-            Landmarks2D(points, np.ones(68), SIZE, good)
+
+    @pytest.mark.parametrize(
+        "bad",
+        [
+            [[1.0, 2.0], [2.0, 1.0]],
+            [[1.0, 2.0], [-2.0, 1.0]],
+            [[8.02003928, 7.20077823], [7.20077823, 6.46520613]],
+            [[1.0, np.nan], [np.nan, 1.0]],
+            [[0.0, 0.0], [0.0, 1.0]],
+        ],
+        ids=["indefinite", "not symmetric", "singular but for rounding", "no number", "no variance"],
+    )
+    def test_a_covariance_that_cannot_whiten_is_refused(self, bad):
+        covariance = np.tile(np.eye(2), (68, 1, 1))
+        covariance[5] = bad
+        points = np.zeros((68, 2)) + np.arange(68)[:, None]
+        with pytest.raises(InputError, match=r"covariance of landmark 5 is .* symmetric and positive definite"):
+            Landmarks2D(points, np.ones(68), SIZE, covariance)
 
     @pytest.mark.parametrize("suffix", [".csv", ".json"])
     def test_files_hold_all_points(self, suffix, perfect, tmp_path):

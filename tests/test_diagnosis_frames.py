@@ -29,6 +29,7 @@ from workbench.session import Material, TuningSession
 from workbench.session.material import PictureStore
 from workbench.tracking import FaceItFitter, FrameContext, Track
 from workbench.tracking.records import stack_fits
+from workbench.tracking.track_layout import model_record
 
 # The benchmark's own faults: what it reports and what is tested here cannot drift apart.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
@@ -335,6 +336,18 @@ def test_a_clean_clip_flags_nothing(head, config, clean):
     flags = flag_frames(track_of(clean[1], head), config)
     assert not flags.flagged.any()
     assert flags.text == ("",) * len(clean[0])
+
+
+def test_weights_are_at_their_bound_where_the_models_range_ends(head, config, clean):
+    fits = [fit for fit, _ in clean[1][:6]]
+    count = len(head.expression_names)
+    for weight in (1.0, 1.5, 3.0):
+        fits[3] = replace(fits[3], expression=np.full(count, weight))
+        both_ways = replace(head, expression_range=np.tile([-3.0, 3.0], (count, 1)))
+        for model, bound in ((head, 1.0), (both_ways, 3.0)):
+            meta = {"expression_names": list(head.expression_names), "model": model_record(model)}
+            flags = flag_frames(Track(**stack_fits(fits), meta=meta), config)
+            assert ("weights are at their bound" in flags.text[3]) == (weight >= bound)
 
 
 def test_flags_name_what_stands_out(head, config):

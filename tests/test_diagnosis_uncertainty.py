@@ -11,6 +11,7 @@ from workbench.diagnosis import estimate_uncertainty, vertex_uncertainty
 from workbench.diagnosis.reference import JOINT_STAGES
 from workbench.diagnosis.uncertainty import correlated_pairs, inverse_on, linearise
 from workbench.errors import InputError
+from workbench.face.principal import principal_expressions
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext
 
@@ -137,6 +138,20 @@ def test_unseen_weights_are_as_uncertain_as_their_range(head):
     middle[tongue] = 0.5
     found = estimate_uncertainty(head, config, context(head, config), replace(fit, expression=middle))
     assert found.weights[tongue] == pytest.approx(0.5, rel=0.05)
+
+
+def test_weights_of_components_have_the_bounds_of_their_model(head):
+    """They run from −3 to 3: a negative weight is on no bound, and one beyond 1 does not press against any."""
+    model = principal_expressions(head, 6)
+    config = preset("joint").changed(camera={"fov_deg": FOV_DEG}, weights={"sigma_smooth": 0.0})
+    for first, at_bound in ((-1.4, False), (-3.6, True)):
+        scene = make_scene(model, weights={"expression_000": first, "expression_001": 1.3}, sliding=True)
+        seen = scene.observation(noise_px=NOISE_PX)
+        fit, _ = FaceItFitter(model, plan_of(config)).fit(seen, context(model, config))
+        found = estimate_uncertainty(model, config, context(model, config), fit)
+        assert found.on_bound.tolist() == [at_bound, *[False] * 5]
+        np.testing.assert_array_equal(found.weights > 0.0, ~found.on_bound)
+    assert fit.expression[0] == -3.0
 
 
 def test_correlated_unknowns_are_named_strongest_first():

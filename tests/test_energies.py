@@ -217,7 +217,7 @@ def looking():
     turns = np.zeros((4, 6))
     turns[[0, 2], [0, 1]], turns[[1, 3], [2, 3]] = (21.0, -21.0), (10.0, 10.0)
     start = FaceParameters(jnp.zeros(3), jnp.zeros(3), jnp.zeros(6), jnp.zeros(0))
-    return still(start)._replace(gaze=Gaze(turns, np.asarray(0.25)))
+    return still(start)._replace(gaze=Gaze(turns, np.asarray(0.25), np.zeros(6)))
 
 
 def test_the_eyes_terms_are_angles_in_degrees(looking):
@@ -234,7 +234,7 @@ def test_the_eyes_terms_are_angles_in_degrees(looking):
 def test_opposite_turns_of_one_eye_count_by_their_product(looking):
     turns = np.zeros((4, 6))
     turns[1, :2], turns[2, 2:4] = (10.0, -20.0), (21.0, -21.0)
-    context = looking._replace(gaze=Gaze(turns, np.asarray(0.0)))
+    context = looking._replace(gaze=Gaze(turns, np.asarray(0.0), np.zeros(6)))
     at = looking.start._replace(expression=jnp.array([0.5, 0.2, 0.0, 0.9, 0.9, 0.9]))
     up_and_down = residual_of("opposites")(at, context)
     np.testing.assert_allclose(up_and_down**2, [0.0, np.hypot(5.0 * 4.0, 1.0) - 1.0, 0.0, 0.0], atol=1e-12)

@@ -230,6 +230,19 @@ def test_basel_2009_has_a_face_and_no_expressions(subject, tmp_path):
     assert model.colors.max() == 120
 
 
+@pytest.mark.parametrize("name", ["face-it", "calibrated", "joint"])
+def test_a_model_without_expressions_is_fitted_by_pose_and_identity(name, subject, tmp_path):
+    (tmp_path / "points.toml").write_text(f"vertices = {nearest_vertices(subject).tolist()}\n")
+    path = write_basel_2009(tmp_path / "01_MorphableModel.mat", subject)
+    model = load_face_model(path, landmarks=tmp_path / "points.toml")
+    scene = make_scene(model, (6.0, 4.0, 2.0), sliding=name != "face-it")
+    config = preset(name).changed(camera={"fov_deg": FOV_DEG})
+    (fit,) = FaceTracker(model, config).fit_all([scene.observation(0)])
+    np.testing.assert_allclose(fit.angles_deg, scene.angles_deg, atol=0.5)
+    assert fit.residuals_px.mean() < 0.2
+    assert fit.expression.shape == (0,)
+
+
 def test_the_jaw_of_flame_is_a_joint_and_three_shapes(flame_file, subject):
     model = load_face_model(flame_file)
     np.testing.assert_allclose(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.performances import GAP, performance
+from tests.scenes import make_scene
 from workbench.config import preset
 from workbench.diagnosis import flag_frames
 from workbench.export.clip import without_failures
@@ -13,10 +14,14 @@ from workbench.export.report import worst_frames
 from workbench.export.summary import summary_of
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.pictures import OverlayParts, draw_overlay
-from workbench.planning import infill_plan
+from workbench.planning import infill_plan, plan_of
+from workbench.solvers import Status
+from workbench.tracking import FaceItFitter, FrameContext
+from workbench.tracking.face_it_solution import record_of
 from workbench.tracking.failures import NO_FACE, failure_of_residuals, failures_of, why_failed
 from workbench.tracking.infill import usable_frames
-from workbench.tracking.records import Fits, frame_errors
+from workbench.tracking.records import Fits, Track, frame_errors
+from workbench.tracking.track_layout import LAYOUT
 from workbench.widgets.status_line import status_of
 
 RECORDED, FAR, UNSEEN, BROKEN = 2, 3, 7, 8
@@ -48,6 +53,22 @@ class TestFailures:
         assert failures_of(track, largest_error=error + 0.1)[FAR] == ""
         assert failures_of(track, largest_error=error - 0.1)[FAR] == "large error"
         assert failures_of(track, largest_error=error - 0.1)[UNSEEN] == ""  # another camera of a rig saw it
+
+    def test_a_fit_whose_energy_is_no_number_has_failed(self, head):
+        """Its pose is the start's, and finite."""
+        plan = plan_of(preset("calibrated"))
+        fitter = FaceItFitter(head, plan)
+        context = FrameContext(0, fitter.mean_identity(), None, None)
+        solution = fitter.solve(fitter.problem(make_scene(head).observation(), context))
+        assert why_failed(record_of(solution, plan)) == ""
+        status = np.full_like(solution.report.status, Status.NOT_FINITE.value)
+        fit = record_of(replace(solution, report=solution.report._replace(status=status)), plan)
+        assert np.isfinite(fit.rotation).all()
+        assert why_failed(fit) == "not finite"
+
+    def test_of_no_frames_there_are_none(self, track):
+        columns = {name: getattr(track, name)[:0] for name in LAYOUT}
+        assert failures_of(Track(meta=track.meta, **columns)).shape == (0,)
 
     def test_a_frame_fails_as_its_track_says(self, track):
         for limit in (5.0, np.inf):

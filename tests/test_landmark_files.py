@@ -1,6 +1,7 @@
 """Landmark files: what is written is read back; what is wrong is named with its line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,6 +46,14 @@ def test_points_that_all_coincide_mean_that_there_is_no_face(tmp_path, suffix):
     again = list(read_landmark_file(path))
     assert [one.landmarks is None for one in again] == [False, True, False]
     assert again[1].size == (640, 360)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_points_without_any_confidence_mean_that_there_is_no_face(tmp_path, suffix):
+    path, seen = tmp_path / f"clip{suffix}", record(1)
+    worthless = replace(seen, landmarks=replace(seen.landmarks, confidence=np.zeros(68)))
+    write_landmark_file(path, [record(0), worthless, record(2)])
+    assert [one.landmarks is None for one in read_landmark_file(path)] == [False, True, False]
 
 
 @given(st.integers(0, 2**31))

@@ -142,6 +142,20 @@ class TestFit:
         *_, free = FaceTracker(seeing_head, CONFIG).fit_all([first, back])
         assert gaze_units(free, names)["eyeLookOutLeft"] < 0.1
 
+    def test_every_stage_holds_the_gaze_of_the_frame_before(self, seeing_head):
+        """Not that of the stage before, along which it would drift from stage to stage."""
+        last = CONFIG.stages[-1]
+        stages = [*CONFIG.stages, *(last.model_copy(update={"name": f"again {number}"}) for number in range(4))]
+        config = CONFIG.changed(stages=[stage.model_dump() for stage in stages])
+        first = looking(seeing_head, eyeLookOutLeft=0.5, eyeLookInRight=0.5)
+        back = looking(seeing_head, number=1)
+        held = replace(back, landmarks=replace(back.landmarks, confidence=np.r_[np.ones(68), 0.0, 0.0]))
+        before, after = FaceTracker(seeing_head, config).fit_all([first, held])
+        degrees = np.linalg.norm(landmark_model(seeing_head).gaze, axis=0)
+        omega = dict(zip(config.terms, config.factors(last), strict=True))["gaze"]
+        expected = omega * np.sum((degrees * (after.expression - before.expression)) ** 2)
+        assert after.energies[-1, config.terms.index("gaze")] == pytest.approx(expected, rel=1e-6)
+
     def test_a_pupil_that_is_half_sure_is_held_a_little(self, seeing_head):
         """Between both: the surer the pupil, the more of a glance is followed."""
         names = seeing_head.expression_names

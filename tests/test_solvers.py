@@ -157,6 +157,13 @@ def test_a_start_that_is_not_finite_is_a_status_not_a_crash():
     assert int(found.status) == Status.NOT_FINITE
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_where_nothing_changes_anything_the_start_has_converged(method):
+    found = minimise(methods(1)[method], evaluator(lambda x: 0.0 * x), jnp.array([1.0]), *unbounded([0.0]), 50)
+    np.testing.assert_array_equal(found.x, [1.0])
+    assert int(found.status) == Status.CONVERGED
+
+
 def test_an_unknown_that_changes_nothing_stays_where_it_is():
     found = minimise(LM, evaluator(lambda x: x[:1] - 2.0), jnp.array([0.0, 0.7]), *unbounded([0.0, 0.0]), 50, 1e-12)
     np.testing.assert_allclose(found.x, [2.0, 0.7], atol=1e-6)

@@ -22,7 +22,7 @@ from workbench.solvers import Status
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.frame_solver import run_stages, solve_frame
-from workbench.tracking.identity import CalibrationSettings, identity_prior
+from workbench.tracking.identity import CalibrationSettings, identity_prior, spread_over_yaw
 
 EXACT = Config(
     identity={"calibrate": False},
@@ -74,6 +74,12 @@ def test_weights_that_the_landmarks_can_tell_apart_are_recovered(seed, head, tel
 def test_the_limits_name_the_indistinguishable_groups(telling):
     for group in (*telling.groups, telling.unseen):
         assert ", ".join(f"`{name}`" for name in group) in PAGES["docs/limits.md"]
+
+
+def test_frames_for_the_identity_are_spread_over_yaw_and_one_alone_is_the_middle():
+    yaws_deg = np.array([0.0, -60.0, 5.0, 2.0, 50.0])
+    chosen = {count: spread_over_yaw(yaws_deg, count).tolist() for count in (1, 2, 3, 9)}
+    assert chosen == {1: [3], 2: [1, 4], 3: [1, 3, 4], 9: [0, 1, 2, 3, 4]}
 
 
 def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):

@@ -231,8 +231,10 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
         landmarks = _read_landmarks(landmarks, size)
     if not isinstance(landmarks, Landmarks2D):
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
-    if landmarks.coincide:
-        raise InputError("All landmarks are at one place, where some programs find no face; give those of a face.")
+    if not landmarks.shows_face:
+        raise InputError(
+            "All landmarks are at one place or have no confidence, which stands for no face; give those of a face."
+        )
     check_size(landmarks, size, "the picture")
     return landmarks
 

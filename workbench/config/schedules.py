@@ -47,6 +47,15 @@ class Stage(Section):
             raise ValueError("lists a parameter twice")
         return tuple(name for name in PARAMETER_BLOCKS if name in value)
 
+    @field_validator("shapes")
+    @classmethod
+    def _counted(cls, value):
+        for shape in value:
+            kind, colon, count = shape.partition(":")
+            if kind == "first" and colon and not count.isdecimal():
+                raise ValueError(f"has {shape!r}; write first:N with a whole number N, for example first:10")
+        return value
+
     def landmark_weights(
         self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({}), scheme: LandmarkScheme = IBUG68
     ) -> list[float]:

@@ -14,6 +14,7 @@ from workbench.solvers import Status
 from workbench.tracking import Track
 from workbench.tracking.failures import failures_of
 from workbench.tracking.records import frame_errors
+from workbench.tracking.track_layout import expression_range_of
 
 FLOOR_PERCENT = 2.5
 """Mean error over the inner points, % of the face's size, below which no frame is flagged for its residual."""
@@ -113,7 +114,8 @@ def _limit(track: Track) -> _Screen:
 def _bounds(track: Track, config: Config | None) -> _Screen:
     if config is not None and not config.solver.bounded:
         return _Screen(np.zeros(len(track)), lambda frame: "")
-    count = (track.expression >= 1.0 - 1e-9).sum(axis=1)
+    lower, upper = expression_range_of(track.meta, track.expression.shape[1]).T
+    count = ((track.expression >= upper - 1e-9) & (lower < upper)).sum(axis=1)
     above = count / max(MOST_AT_BOUND * track.expression.shape[1], 1.0)
     return _Screen(_ramp(above), lambda frame: f"{count[frame]} weights are at their bound")
 

@@ -86,6 +86,7 @@ class Trial:
         self._afresh = afresh and case.context.last is not None
         self.reference = reference
         self.names = fitter.model.expression_names
+        self.weights_from_0_to_1 = fitter.model.weights_from_0_to_1
         self.scheme = fitter.model.scheme
         self._fitter = copy.copy(fitter)
         self._fitter.configure(plan_of(case.config, self.scheme))

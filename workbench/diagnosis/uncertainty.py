@@ -24,7 +24,7 @@ FREE = ("rotation", "translation", "expression")
 POSE_NAMES = ("pitch", "yaw", "roll", "x", "y", "depth")
 """Rotations about the camera's x, y, z axes and positions along them."""
 WEIGHT_WIDTH = 0.5
-"""Prior standard deviation of a blendshape weight if weights are kept in [0, 1]."""
+"""Prior standard deviation of a weight that is kept in its range, as a share of that range."""
 STRONG = 0.9
 UNKNOWN_SCALE = np.array([0.1] * 3 + [10.0] * 3)
 """Typical size of the pose's unknowns, radians and millimetres; for a weight it is 0.3."""
@@ -71,12 +71,13 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     plan = plan_of(config, scheme)
     counts, whitening = (plan.counts(fit.confidence), None) if fit.landmarks is None else plan.measured(fit.landmarks)
     parameters = FaceParameters(fit.rotation, fit.translation, fit.expression, np.zeros(0))
+    start = parameters if last is None else parameters._replace(expression=np.asarray(last.parameters.expression))
     frame = FrameInput(
         np.column_stack([fit.observed, counts]),
         zero if last is None else np.asarray(last.pose),
         zero if last is None else np.asarray(last.last_pose),
         np.asarray(float(last is not None and last.frames >= 2)),
-        parameters,
+        start,
         whitening=whitening,
     )
     settings = solve_settings(plan)
@@ -121,11 +122,11 @@ def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext
 
     H is JᵀJ, of terms on single unknowns half the whole second derivative (`energies.normal_system`).
 
-    Weights that the energy presses against a bound are held there. Where weights are kept in [0, 1], that range is
+    Weights that the energy presses against a bound are held there. Where weights are kept in the model's range, that is
     part of the prior. Raises `InputError` for a frame without a face.
     """
     problem = linearise(model, config, context, fit)
-    held = _held(config, fit, problem.gradient)
+    held = _held(config, fit, problem.gradient, model.weight_range())
     free = np.concatenate([np.ones(6, bool), ~held])
     # A residual with less weight says less about the noise, so rows are counted by their weight.
     rows = problem.row_weights
@@ -135,7 +136,9 @@ def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext
     variance = max(problem.data_factor * float(problem.residual @ problem.residual) / degrees_of_freedom, 1e-12)
     prior = np.zeros(len(free))
     if config.solver.bounded:
-        prior[6:] = 1.0 / WEIGHT_WIDTH**2
+        # A weight without a range is held, and has no use for a prior.
+        span = np.diff(model.weight_range(), axis=1)[:, 0]
+        prior[6:] = np.where(span > 0.0, span * WEIGHT_WIDTH, 1.0) ** -2
     precision = problem.matrix / variance + np.diag(prior)
     covariance, condition = inverse_on(precision, free)
     weighted = problem.jacobian.T @ (rows[:, None] * problem.jacobian)
@@ -212,12 +215,15 @@ def vertex_uncertainty(
     return np.sqrt(((jacobian @ root[:, kept]) ** 2).sum(axis=(1, 2)))
 
 
-def _held(config: Config, fit: FrameFit, gradient: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "k"]:
+def _held(
+    config: Config, fit: FrameFit, gradient: Float[np.ndarray, "n"], bounds: Float[np.ndarray, "k 2"]
+) -> Bool[np.ndarray, "k"]:
     """Weights that are at a bound and pressed against it."""
     if not config.solver.bounded:
         return np.zeros(len(fit.expression), bool)
-    slope = gradient[6:]
-    return ((fit.expression <= BOUND) & (slope >= 0.0)) | ((fit.expression >= 1.0 - BOUND) & (slope <= 0.0))
+    slope, (lower, upper) = gradient[6:], bounds.T
+    at_lower, at_upper = fit.expression <= lower + BOUND, fit.expression >= upper - BOUND
+    return (at_lower & (slope >= 0.0)) | (at_upper & (slope <= 0.0))
 
 
 def _left_jacobian(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

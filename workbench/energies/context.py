@@ -35,6 +35,8 @@ class Gaze(NamedTuple):
     """`LandmarkModel.gaze`."""
     hidden: Scalar
     """0 where the place of a pupil is known, 1 where nothing tells that of either."""
+    before: Float[AnyArray, "k"]
+    """Weights of the frame before; where there is none, those that the frame started from."""
 
 
 class TermContext(NamedTuple):

@@ -42,5 +42,5 @@ def gaze_residual(parameters: FaceParameters, context: TermContext) -> Float[Arr
     if context.gaze is None:
         return jnp.zeros(len(parameters.expression))
     degrees = jnp.linalg.norm(jnp.asarray(context.gaze.turns), axis=0)
-    since = parameters.expression - jnp.asarray(context.start.expression)
+    since = parameters.expression - jnp.asarray(context.gaze.before)
     return jnp.sqrt(jnp.asarray(context.gaze.hidden)) * degrees * since

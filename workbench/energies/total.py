@@ -126,6 +126,8 @@ def normal_system(
         term, root = TABLE[name], jnp.sqrt(omega[name])
         if name == "landmarks" or not depends_on(term, free):
             continue
+        if term.of == "parameters" and not any(len(getattr(parameters, unknown)) for unknown in term.unknowns):
+            continue  # a model without blendshapes
         if term.of == "parameters" and term.structure != "dense":
             values, slopes, forces, bends = _on_unknowns(term, problem.context, parameters, free)
             values, slopes, forces = root * values, root * slopes, root * forces

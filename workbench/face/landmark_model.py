@@ -82,7 +82,7 @@ def seen_shapes(model: FaceModel) -> Bool[np.ndarray, "k"]:
     Nothing in the landmarks says what the others do: fits leave them at 0.
     """
     moved = [model.landmarks.of(model.expression_deltas), model.contour.of(model.expression_deltas)]
-    farthest = [np.linalg.norm(part, axis=-1).reshape(len(part), -1).max(axis=1, initial=0.0) for part in moved]
+    farthest = [np.linalg.norm(part, axis=-1).max(axis=tuple(range(1, part.ndim - 1)), initial=0.0) for part in moved]
     return np.maximum(*farthest) * np.abs(model.weight_range()).max(axis=1) >= LEAST_SEEN_MM
 
 

@@ -179,6 +179,11 @@ class FaceModel:
             return self.expression_range
         return np.tile([0.0, 1.0], (len(self.expression_names), 1))
 
+    @property
+    def weights_from_0_to_1(self) -> bool:
+        """Whether all weights run from 0 to 1; those of statistical components go both ways."""
+        return bool((self.weight_range() == [0.0, 1.0]).all())
+
     def personal(self, identity: Float[np.ndarray, "i"]) -> "FaceModel":
         """The model of one person: identity baked into neutral, joints and blink travel; no identity basis left.
 

@@ -34,7 +34,7 @@ def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, 
         raise ModelError(f"{model.name} has {shapes} blendshapes, so {count} components cannot be made of them.")
     if faces < shapes:
         raise ModelError(f"{shapes} blendshapes need as many random faces or more, got {faces}.")
-    if not np.array_equal(model.weight_range(), np.tile([0.0, 1.0], (shapes, 1))):
+    if not model.weights_from_0_to_1:
         raise ModelError(f"The weights of {model.name} do not run from 0 to 1; it has a statistical basis already.")
     weights = random_expressions(model.expression_names, faces, np.random.default_rng(seed))
     root = np.linalg.qr(weights / np.sqrt(faces), mode="r")

@@ -39,11 +39,11 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
     """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 
     `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for one .pts it
-    may be left out: the smallest size that contains all points stands in. Points that all coincide mean that there is
-    no face: some programs write zeros then. Raises `InputError` that names the line (or entry) and what to mend, for
-    the header of a CSV at this call, for its rows while iterating.
+    may be left out: the smallest size that contains all points stands in. Points that all coincide, or have no
+    confidence, mean that there is no face (`Landmarks2D.shows_face`). Raises `InputError` that names the line (or
+    entry) and what to mend, for the header of a CSV at this call, for its rows while iterating.
     """
-    return map(_with_extent, _records(Path(path), image_size))
+    return map(_with_real_face, _records(Path(path), image_size))
 
 
 def _records(path: Path, image_size: tuple[int, int] | None) -> Iterator[LandmarkRecord]:
@@ -69,9 +69,9 @@ def _records(path: Path, image_size: tuple[int, int] | None) -> Iterator[Landmar
         return iter([pts.read_pts(path, image_size)])
 
 
-def _with_extent(record: LandmarkRecord) -> LandmarkRecord:
-    """The record, without its face if all points of that coincide."""
-    if record.landmarks is None or not record.landmarks.coincide:
+def _with_real_face(record: LandmarkRecord) -> LandmarkRecord:
+    """The record, without a face that is none."""
+    if record.landmarks is None or record.landmarks.shows_face:
         return record
     return replace(record, landmarks=None, image_size=record.size)
 

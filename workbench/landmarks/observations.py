@@ -10,6 +10,11 @@ from workbench.errors import InputError
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import scheme_of_count
 
+SYMMETRIC = 1e-6
+"""How far the two covariances of x and y may differ, as a share of both deviations: what single precision leaves."""
+SINGULAR = 1e-9
+"""A share of the variance below which nothing of it is left but rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Landmarks2D:
@@ -61,9 +66,9 @@ class Landmarks2D:
         return scheme_of_count(len(self.points))
 
     @property
-    def coincide(self) -> bool:
-        """Whether all points are at one place, as some programs write them where they find no face."""
-        return not np.ptp(self.points, axis=0).any()
+    def shows_face(self) -> bool:
+        """False where all points are at one place or none has any confidence, as some programs write "no face"."""
+        return bool(np.ptp(self.points, axis=0).any() and (self.confidence > 0.0).any())
 
 
 def scheme_of_faces(faces: Iterable[Landmarks2D | None]) -> LandmarkScheme:
@@ -83,8 +88,15 @@ def _checked_covariance(given: Num[np.ndarray, "..."], count: int) -> Num[np.nda
     if covariance.shape != (count, 2, 2):
         raise InputError(f"expected a covariance (2, 2) for each of {count} landmarks, got shape {covariance.shape}")
     (xx, xy), (yx, yy) = np.moveaxis(covariance, 0, -1)
-    bad = np.flatnonzero(~(np.isfinite(covariance).all(axis=(1, 2)) & (xx > 0) & (xx * yy - xy * yx > 0)))
+    with np.errstate(all="ignore"):
+        # What of xx the other coordinate leaves open: zero to rounding where a matrix is all but singular.
+        left = xx - xy * yx / yy
+        symmetric = np.abs(xy - yx) <= SYMMETRIC * np.sqrt(xx * yy)
+        sound = np.isfinite(covariance).all(axis=(1, 2)) & (xx > 0) & (yy > 0) & symmetric & (left > SINGULAR * xx)
+    bad = np.flatnonzero(~sound)
     if bad.size:
         told = covariance[bad[0]].tolist()
-        raise InputError(f"the covariance of landmark {bad[0]} is {told}: it must be finite and positive definite")
+        raise InputError(
+            f"the covariance of landmark {bad[0]} is {told}: it must be finite, symmetric and positive definite"
+        )
     return covariance

@@ -115,7 +115,7 @@ def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, cou
         def solved(before: FaceParameters, k=k, free=stage.free):
             moves_pose = "rotation" in free or "translation" in free
             history = state.history * moves_pose
-            frame = FrameInput(measured, state.pose, state.last_pose, history, before, whitening=whitening)
+            frame = FrameInput(measured, state.pose, state.last_pose, history, state.parameters, whitening=whitening)
             weights, omega = weighing.landmark_weights[k], weighing.omega[k]
             problem = stage_problem(weighing.camera, stretch.person, stretch.settings, weights, omega, frame, before)
             x = optimum(free, terms, problem, before, _box_of(stretch.settings, before, free))

@@ -85,6 +85,7 @@ class TrustRegion:
         both = jnp.outer(moving, moving)
         curvature = jnp.where(both, system.matrix * jnp.outer(self.scale, self.scale), 0.0)
         damping = DAMPING * jnp.trace(curvature) / jnp.maximum(jnp.sum(moving), 1)
+        damping = jnp.where(damping > 0.0, damping, 1.0)  # without any curvature the step is 0, not 0/0
         curvature = curvature + jnp.diag(jnp.where(moving, damping, 1.0))
         slope = jnp.where(moving, system.gradient * self.scale, 0.0)
         operator = lx.MatrixLinearOperator(curvature, lx.positive_semidefinite_tag)

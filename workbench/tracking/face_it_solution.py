@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from workbench.face import FaceModel, LandmarkModel
 from workbench.geometry import Camera
+from workbench.solvers import Status
 from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace, landmarks_of_others
 from workbench.tracking.frame_solver import (
     BLOCKS,
@@ -139,6 +140,7 @@ def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
         iterations=iterations,
         milliseconds=np.array([*observation.milliseconds, solution.milliseconds]),
         others=landmarks_of_others(observation),
+        failure="not finite" if (status[place[-1:]] == Status.NOT_FINITE.value).any() else "",
         covariance=recorded_covariance(observation.landmarks.covariance, observation.landmarks.scheme),
     )
 

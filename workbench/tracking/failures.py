@@ -1,7 +1,7 @@
 """Why a fit should not be used: the single definition for infill, refinement, reports, pictures and the panel."""
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from workbench.landmarks.scheme import POINT_COUNT
 from workbench.tracking.records import FrameFit, Track, stack_fits
@@ -33,10 +33,14 @@ def failures_of(track: Track, largest_error: float = np.inf) -> Shaped[np.ndarra
     `largest_error` % of the outer-eye distance; frames that this view did not see have no error.
     """
     percent = np.where(track.seen[:, None], track.residuals_percent, 0.0)
-    finite = np.stack([np.isfinite(getattr(track, name)).reshape(len(track), -1).all(1) for name in _NUMBERS]).all(0)
+    finite = np.stack([_finite(getattr(track, name)) for name in _NUMBERS]).all(0)
     shown = np.where(finite, failure_of_residuals(percent, largest_error), FAILURES.index("not finite"))
     codes = np.where(track.failure != 0, track.failure, shown)
     return np.where(track.found, np.array(FAILURES)[codes], NO_FACE)
+
+
+def _finite(numbers: Float[np.ndarray, "n *rest"]) -> Bool[np.ndarray, "n"]:
+    return np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
 
 
 def why_failed(fit: FrameFit, largest_error: float = np.inf) -> str:

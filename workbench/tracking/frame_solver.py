@@ -227,7 +227,8 @@ def stage_problem(
     before = (frame.before_last_pose, frame.last_pose, frame.history)
     gaze = None
     if model.gaze is not None:
-        gaze = Gaze(model.gaze, hidden_eyes(frame, weights, eye_distance_px))
+        hidden = hidden_eyes(frame, weights, eye_distance_px)
+        gaze = Gaze(model.gaze, hidden, frame.start.expression)
     context = TermContext(settings.constants, *before, parameters, frame.flow, gaze=gaze, usual=model.usual)
     return EnergyProblem(camera, points, observation, omega, context)
 

@@ -183,8 +183,10 @@ def _bounds(frames: FaceParameters, model: LandmarkModel):
 def spread_over_yaw(yaws_deg: Float[np.ndarray, "n"], count: int) -> Int[np.ndarray, "_"]:
     """Indices of up to `count` frames spread evenly over the range of head yaws, in ascending order of time.
 
-    Views from several directions are needed to separate depth from expression.
+    Views from several directions are needed to separate depth from expression. One alone is the middle one.
     """
     order = np.argsort(yaws_deg, kind="stable")
+    if count == 1:
+        return order[(len(order) - 1) // 2 :][:1]
     chosen = order[np.unique(np.round(np.linspace(0, len(order) - 1, min(count, len(order)))).astype(int))]
     return np.sort(chosen)

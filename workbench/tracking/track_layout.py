@@ -87,6 +87,7 @@ class _Model(_Section):
     name: str = ""
     sha256: str | None = None
     jaw_unit: _JawUnit | None = None
+    expression_range: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
 
 
 class _Metadata(_Section):
@@ -158,7 +159,18 @@ def file_record(path: Path) -> dict[str, str]:
 
 def model_record(model: FaceModel) -> dict[str, Any]:
     """The key `model` of a track's metadata."""
-    return {"name": model.name, "sha256": model.fingerprint(), "jaw_unit": asdict(model.jaw_unit)}
+    record = {"name": model.name, "sha256": model.fingerprint(), "jaw_unit": asdict(model.jaw_unit)}
+    if not model.weights_from_0_to_1:
+        record["expression_range"] = model.weight_range().tolist()
+    return record
+
+
+def expression_range_of(meta: Mapping[str, Any], count: int) -> Float[np.ndarray, "k 2"]:
+    """Least and largest value of each of a track's `count` weights; 0 and 1 where its metadata name no others."""
+    stored = (meta.get("model") or {}).get("expression_range")
+    if stored is None or len(stored) != count:
+        return np.tile([0.0, 1.0], (count, 1))
+    return np.array(stored, float)
 
 
 def jaw_unit_of(meta: Mapping[str, Any]) -> JawUnit:

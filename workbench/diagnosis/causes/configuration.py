@@ -94,9 +94,11 @@ def _tau_share(trial: Trial) -> float:
 
 
 def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
-    """Blendshape weights press against 1: the expression exceeds the model's range."""
-    solver = trial.case.config.solver
-    if not solver.bounded:
+    """Blendshape weights press against 1: the expression exceeds the model's range.
+
+    Not of statistical components, which the range term would pull into [0, 1].
+    """
+    if not (trial.case.config.solver.bounded and trial.weights_from_0_to_1):
         return
     pressing = trial.fit.expression >= 1.0 - 1e-6
     count = int(pressing.sum())
