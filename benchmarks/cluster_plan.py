@@ -15,7 +15,7 @@ HOURS, FRAMES_PER_S = 10_000, 25
 RATES = {
     "observe_s": 0.0118,
     "fit_s": 0.0009,
-    "identity_s": 0.39,
+    "identity_s": 0.15,
     "clip_bytes": 1500,
     "result_bytes": 26,
     "task_bytes": 1700,

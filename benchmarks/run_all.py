@@ -1,4 +1,7 @@
-"""Run every benchmark in turn, each in its own process, and print a table. Fails only if one of them crashed."""
+"""Run most benchmarks in turn, each in its own process, and print a table. Fails only if one of them crashed.
+
+`benchmarks/README.md` says which it leaves out.
+"""
 
 import json
 import subprocess

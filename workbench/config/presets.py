@@ -106,7 +106,7 @@ PRESETS: dict[str, Config] = {
         **FLOW_AS_PRINTED,
     ),
     # Ours: the same stages with errors in percent of the outer-eye distance, confidences, bounds on weights and jaw,
-    # weighted edges, a sliding contour, a derivative that costs an eighth, and two networks' mean as N.
+    # weighted edges, a sliding contour, a derivative that costs a tenth, and two networks' mean as N.
     "deep": Config(preset="deep", system="deep-energies", deep=DeepConfig(network="ensemble"), stages=DEEP_STAGES),
     "deep-points": Config(
         preset="deep-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES

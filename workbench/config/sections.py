@@ -217,7 +217,7 @@ class DeepConfig(Section):
     )
     derivative: Literal["broyden", "forward", "differences"] = Field(
         "broyden",
-        description="forward: through renderer and network, as published; broyden: approximate, 8 times faster.",
+        description="forward: through renderer and network, as published; broyden: approximate, some ten times faster.",
     )
     start: Literal["frontal", "landmarks"] = Field(
         "frontal",
