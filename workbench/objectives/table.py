@@ -99,8 +99,8 @@ ROWS = (
     Objective(
         name="flow",
         says="distance between the motion of the model's landmarks and the motion of the picture there",
-        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; nor depth, nor motion "
-        "without texture",
+        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; nor depth, nor "
+        "motion without texture",
         unit="% of the eye distance",
         function="without_truth:flow_error",
         needs="flow",
