@@ -28,7 +28,8 @@ from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.planning import plan_of
-from workbench.samples import sample
+from workbench.runtime import cache_folder
+from workbench.samples import sample, samples_folder
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 
@@ -185,6 +186,13 @@ def test_info_names_versions_and_places(run):
     assert code == 0
     for word in ("jax", "optimistix", "presets", "samples", "dlib detector", "3D pictures"):
         assert word in out
+
+
+def test_info_names_places_whole_however_narrow_the_window(run, monkeypatch):
+    monkeypatch.setattr(screen, "console", screen.Console(width=40, highlight=False))
+    lines = run("info")[1].splitlines()
+    for name, place in (("samples", samples_folder()), ("cache", cache_folder())):
+        assert [line for line in lines if line.startswith(name) and line.endswith(f" {place}")], name
 
 
 def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeypatch, tmp_path):
