@@ -18,6 +18,7 @@ import pytest
 
 import workbench
 from tests.scenes import make_scene
+from tests.test_nothing_lost import small_disk
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config
@@ -27,7 +28,8 @@ from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.planning import plan_of
-from workbench.samples import sample
+from workbench.runtime import cache_folder
+from workbench.samples import sample, samples_folder
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 
@@ -186,6 +188,13 @@ def test_info_names_versions_and_places(run):
         assert word in out
 
 
+def test_info_names_places_whole_however_narrow_the_window(run, monkeypatch):
+    monkeypatch.setattr(screen, "console", screen.Console(width=40, highlight=False))
+    lines = run("info")[1].splitlines()
+    for name, place in (("samples", samples_folder()), ("cache", cache_folder())):
+        assert [line for line in lines if line.startswith(name) and line.endswith(f" {place}")], name
+
+
 def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeypatch, tmp_path):
     """Of the clip its beginning: all of it is tracked where the wheel is tried (`tests/test_wheel.py`)."""
     track = workbench.pipeline.track
@@ -316,6 +325,42 @@ def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp
     (copies / "00_first.ipynb").write_text("changed by the user")
     assert (cli.working_copies(installed, installed.parent) / "00_first.ipynb").read_text() == "changed by the user"
     assert (installed / "00_first.ipynb").read_text() == "original"
+
+
+@pytest.fixture
+def notebooks(monkeypatch, tmp_path):
+    """Notebooks of an installed package, for `lab` and `app` too."""
+    folder = tmp_path / "site-packages" / "workbench" / "notebooks"
+    folder.mkdir(parents=True)
+    for name in ("00_first.ipynb", servers.APP_NOTEBOOK):
+        (folder / name).write_text("original" * 200)
+    monkeypatch.setattr(servers, "notebooks_folder", lambda: folder)
+    monkeypatch.setattr(servers, "working_copies", partial(cli.working_copies, package=folder.parent))
+    monkeypatch.setattr(servers, "check_installed", lambda *_: None)
+    return folder
+
+
+@pytest.mark.parametrize("command", ["lab", "app"])
+def test_a_full_disk_cuts_no_notebook(run, notebooks, tmp_path, command):
+    with small_disk(1000):
+        code, _, err = run(command, "--no-browser")
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert "start it in a folder that can be written to and has room" in err
+    assert list((tmp_path / "workbench_notebooks").iterdir()) == []
+    copies = servers.working_copies(notebooks)
+    assert {path.read_text() for path in copies.iterdir()} == {"original" * 200}
+
+
+@pytest.mark.parametrize("command", ["lab", "app"])
+def test_where_no_notebooks_can_be_copied_to_one_reads_to_start_elsewhere(run, notebooks, tmp_path, command):
+    (tmp_path / "workbench_notebooks").write_text("mine")
+    code, _, err = run(command, "--no-browser")
+    assert code == 2
+    assert err == (
+        f"error: The notebooks cannot be copied to {tmp_path / 'workbench_notebooks'} (File exists); "
+        "start it in a folder that can be written to and has room for them.\n"
+    )
 
 
 def test_an_interruption_says_how_to_go_on(run, points, monkeypatch):

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
-from workbench.errors import InputError, MissingDependencyError
+from tests.test_nothing_lost import small_disk
+from workbench.errors import InputError, MissingDependencyError, OutputError
 from workbench.export import export_track, make_clip
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.skinning import eyeball
@@ -207,6 +208,27 @@ def test_the_usd_camera_has_our_lens_also_where_its_axis_is_off_the_middle(head,
 def test_usd_without_its_package_says_what_to_install(clip, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(MissingDependencyError, match=r'pip install "face-energy-workbench\[usd\]"'):
+        write_usd(clip, tmp_path / "face.usd")
+
+
+@pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc"])
+def test_a_stage_that_finds_no_room_says_what_the_system_says(clip, tmp_path, suffix):
+    pytest.importorskip("pxr.Usd")
+    with (
+        pytest.raises(OutputError, match=rf"face{suffix} cannot be written \(File too large\); the system allows"),
+        small_disk(8192),
+    ):
+        write_usd(clip, tmp_path / f"face{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_usd_alone_knows_of_a_stage_that_it_cannot_write_is_told(clip, tmp_path, monkeypatch):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Sdf, Tf
+
+    monkeypatch.setattr(Sdf.Layer, "Export", lambda *_: Tf.RaiseRuntimeError("There is no writer"))
+    refusal = r"cannot be written \(USD: Python runtime error.*There is no writer\); name another place\.$"
+    with pytest.raises(OutputError, match=refusal):
         write_usd(clip, tmp_path / "face.usd")
 
 

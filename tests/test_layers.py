@@ -20,6 +20,7 @@ ORDER = [
     "reading",
     "files",
     "inert_pickle",
+    "program_cache",
     "runtime",
     "workers",
     "samples",

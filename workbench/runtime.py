@@ -113,10 +113,14 @@ def configure_jax(jax: ModuleType) -> None:
     jax.config.update("jax_enable_x64", True)
     # A call returns when its result is there, so that `COMPUTING` covers the whole run.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
+    programs = cache_folder() / "jax"
     if jax.config.jax_compilation_cache_dir is None:
-        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
+        jax.config.update("jax_compilation_cache_dir", str(programs))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    from workbench.program_cache import watch_cache  # here, because `import workbench` does not need it
+
+    watch_cache(jax, programs)
 
 
 class JaxFinder(MetaPathFinder):

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 import workbench
 from workbench.cli import screen
@@ -51,7 +50,6 @@ def info() -> None:
 
     bundled = workbench.landmarks.network_detector.BUNDLED
     head = workbench.load_default_head()
-    table = Table(show_header=False, box=None)
     rows = {
         "workbench": workbench.__version__,
         "Python": platform.python_version(),
@@ -68,9 +66,10 @@ def info() -> None:
         "samples": str(samples_folder()),
         "cache": str(cache_folder()),
     }
+    longest = max(map(len, rows))
     for name, value in rows.items():
-        table.add_row(f"[bold]{name}[/bold]", escape(value))
-    screen.console.print(table)
+        # A table would cut a path or break it in two, and neither can be copied.
+        screen.console.print(f"[bold]{name:{longest}}[/bold]  {escape(value)}", soft_wrap=True)
 
 
 def _network(path: Path) -> str:

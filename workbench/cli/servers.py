@@ -19,9 +19,10 @@ import typer
 import workbench
 from workbench.cli import screen
 from workbench.cli.tour_page import write_tour_page
-from workbench.errors import InputError
+from workbench.errors import InputError, OutputError
 from workbench.extras import check_installed
-from workbench.files import make_folder
+from workbench.files import atomic_path, make_folder
+from workbench.reading import reason_of
 
 PACKAGE = Path(workbench.__file__).resolve().parent
 APP_NOTEBOOK = "10_workbench_app.ipynb"
@@ -175,10 +176,16 @@ def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
     if not folder.is_relative_to(package):
         return folder
     copies = Path.cwd() / "workbench_notebooks"
-    make_folder(copies)
-    for notebook in folder.glob("*.ipynb"):
-        if not (copies / notebook.name).exists():
-            shutil.copyfile(notebook, copies / notebook.name)
+    try:
+        make_folder(copies)
+        for notebook in folder.glob("*.ipynb"):
+            if not (copies / notebook.name).exists():
+                with atomic_path(copies / notebook.name) as temporary:
+                    temporary.write_bytes(notebook.read_bytes())
+    except OutputError as error:
+        remedy = "start it in a folder that can be written to and has room for them"
+        reason = reason_of(error.__cause__ or error)
+        raise OutputError(f"The notebooks cannot be copied to {copies} ({reason}); {remedy}.") from error
     return copies
 
 

@@ -1,5 +1,7 @@
 """USD (UsdSkel): joints of head, jaw and eyes, blendshapes by name, camera, animation in time samples."""
 
+import errno
+import os
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -54,9 +56,15 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
         try:
             layer.Export(str(temporary))
         except Tf.ErrorException as error:  # USD's own way to say that the disk is full
-            raise OSError(f"USD could not write it: {error}") from error
+            raise _refusal(error.args[0].commentary) from error
         for place, content in pictures.items():
             files.enter_context(atomic_path(place)).write_bytes(content)
+
+
+def _refusal(told: str) -> OSError:
+    """What USD tells of a file that it could not write, as the system's own answer where it ends with one."""
+    number = next((number for number in errno.errorcode if told.endswith(os.strerror(number))), None)
+    return OSError(f"USD: {told}") if number is None else OSError(number, os.strerror(number))
 
 
 def _skeleton(stage, joints: tuple[Joint, ...]):
