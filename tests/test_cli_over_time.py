@@ -273,7 +273,7 @@ def test_where_nothing_was_filled_it_says_what_to_try(run, talk):
 def test_where_all_frames_are_named_it_says_so(run, talk):
     code, _, err = run("infill", "talk", "--method", "linear", "--frames", "0-11", *QUICK)
     assert code == 1
-    assert "the frames named have no usable fit beside them to fill from; name fewer" in " ".join(err.split())
+    assert "the frames named have no usable fit next to them to fill from; name fewer" in " ".join(err.split())
 
 
 @pytest.mark.parametrize("named", [".", "track.npz", "../talk", "sub/.."])

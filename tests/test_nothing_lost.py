@@ -142,7 +142,7 @@ class TestInputsAreNotWrittenOver:
             shutil.move(points, folder / "landmarks.csv")
             points.symlink_to(folder / "landmarks.csv")
         before = content(folder)
-        with pytest.raises(OutputError, match=r"landmarks.csv is an input.*would be written over; name another output"):
+        with pytest.raises(OutputError, match=r"landmarks.csv is an input.*would be overwritten; name another output"):
             quick(named, folder, **options)
         assert content(folder) == before
 
@@ -208,7 +208,7 @@ class TestInputsAreNotWrittenOver:
         before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         code, _, err = run(*arguments)
         assert code == 2
-        assert "would be written over; name another output" in err.replace("\n", " ")
+        assert "would be overwritten; name another output" in err.replace("\n", " ")
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
     @pytest.mark.parametrize("landmarks", [False, True])
@@ -311,7 +311,7 @@ class TestFinishedRuns:
             quick(points, tmp_path / "out", progress=interrupt)
         versions["jax"] = "0.8"
         with pytest.raises(
-            OutputError, match=r"run that was begun with other versions \(jax 0\.7, now 0\.8\); install"
+            OutputError, match=r"run that was started with other versions \(jax 0\.7, now 0\.8\); install"
         ):
             quick(points, tmp_path / "out", resume=True)
         with pytest.raises(OutputError, match="of another input or configuration"):
@@ -371,7 +371,7 @@ class TestFinishedRuns:
         assert code == 2
         assert "already holds a finished run" in err
         assert run("track", "points.csv", "--no-pictures", "--overwrite")[0] == 0
-        assert "nothing was left to do" in run("track", "points.csv", "--no-pictures", "--resume")[1]
+        assert "already finished" in run("track", "points.csv", "--no-pictures", "--resume")[1]
 
 
 class TestInputsThatChangeMeanwhile:

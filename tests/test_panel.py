@@ -1119,7 +1119,7 @@ def test_a_change_that_the_settings_have_already_is_no_step(panel):
     mute = Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}})
     assert panel.diagnosing.apply(mute) is not None
     assert panel.diagnosing.apply(mute) is None
-    assert "have this change already" in panel.status.value
+    assert "already have this change" in panel.status.value
 
 
 def test_a_change_that_the_session_refuses_is_not_taken_for_applied(panel):

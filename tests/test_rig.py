@@ -196,7 +196,7 @@ AWAY = np.array([-200.0, 0.0, 0.0])
     ("make", "message"),
     [
         (lambda: Rig(()), "at least one view"),
-        (lambda: pair(np.eye(3), AWAY, name="left"), "stands for two views"),
+        (lambda: pair(np.eye(3), AWAY, name="left"), "is used for two views"),
         (lambda: pair(np.eye(3), AWAY, name=" "), "needs a name"),
         (lambda: pair(np.eye(3), AWAY, image_size=(0, 480)), "0 × 480"),
         (lambda: pair(stretched(1.01), AWAY), "not a rotation .* 0.02"),
@@ -464,7 +464,7 @@ def test_opencvs_stereo_sample_writes_two_files_without_a_picture_size(tmp_path)
 
 def test_the_files_of_two_pairs_are_no_rig(tmp_path):
     files = [save_opencv(tmp_path / name, **PAIR, **WIDTH_HEIGHT) for name in ("ab.yml", "ac.yml")]
-    with pytest.raises(InputError, match=r"of several pairs of cameras; .*three cameras and more one file for each"):
+    with pytest.raises(InputError, match=r"of several pairs of cameras; .*three or more cameras one file each"):
         read_rig(files)
 
 
@@ -612,18 +612,18 @@ LONE = {"K1": None, "K2": None, "K": MATRIX}
         (raw("rig.yml", b"%YAML:1.0\n---\na:\n   - " + b"- " * 200_000 + b"1\n"), "nests its entries"),
         (raw("rig.xml", b"<?xml version='1.0'?>" + b"<a>" * 200_000), "nests its entries"),
         (opencv(R=None), "no R and T"),
-        (opencv(K2=None), "no matrix of camera 2"),
+        (opencv(K2=None), "no matrix for camera 2"),
         (opencv(R=-ROTATION), "camera 2: The rotation of view 'camera2' mirrors"),
         (opencv(R=np.eye(2)), "rotation has 4 entries, expected 3 or 9"),
         (opencv(D1=np.zeros((1, 6))), "camera 1: .*coefficients, got 6"),
         (opencv(D1=np.full((1, 14), 0.1)), "camera 1: .*thin-prism and tilt terms"),
         (opencv(K1=np.diag([-1.0, 1.0, 1.0])), "positive focal"),
         (opencv(unit="feet"), "unit is 'feet'"),
-        (opencv(fisheye_model=1), "of OpenCV's fisheye model; calibrate with"),
+        (opencv(fisheye_model=1), "uses OpenCV's fisheye model; calibrate with"),
         (opencv(T=TRANSLATION / 1000), "mm apart.*unit"),
         (opencv(image_width=300), "principal point .* lies outside"),
-        (opencv(**LONE, R=None), "where its camera stands: no rotation"),
-        (opencv(**LONE, T=None), "where its camera stands: no translation"),
+        (opencv(**LONE, R=None), "where its camera is: no rotation"),
+        (opencv(**LONE, T=None), "where its camera is: no translation"),
     ],
 )
 def test_damaged_files_are_refused_in_one_sentence_that_names_them(tmp_path, capfd, write, message):

@@ -198,7 +198,7 @@ def other_size(scene, *sizes):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda scene: (make_rig((0.0,)), [scene.records(0)]), "the rig has one"),
+        (lambda scene: (make_rig((0.0,)), [scene.records(0)]), "the rig has only one"),
         (lambda scene: (scene.rig, [scene.records(0)]), r"2 views \(middle, side\), got 1"),
         (lambda scene: (scene.rig, no_faces(scene)), "'middle' have no face"),
         (

@@ -181,9 +181,11 @@ def _config(config: Config | str | Path) -> Config:
         config = preset(config)
     config = config if isinstance(config, Config) else read_config(config)
     if wanted_steps(config):
-        raise InputError("One picture has no neighbours in time; leave infill and refinement out of the configuration.")
+        raise InputError(
+            "A single picture has no neighbours in time; leave infill and refinement out of the configuration."
+        )
     if config.camera.rig:
-        raise InputError("One picture has one view; leave the rig (camera.rig) out of the configuration.")
+        raise InputError("A single picture has one view; leave the rig (camera.rig) out of the configuration.")
     return config
 
 
@@ -232,7 +234,9 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
     if not isinstance(landmarks, Landmarks2D):
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if landmarks.coincide:
-        raise InputError("All landmarks are at one place, where some programs find no face; give those of a face.")
+        raise InputError(
+            "All landmarks coincide, as some programs write where they find no face; give those of a face."
+        )
     check_size(landmarks, size, "the picture")
     return landmarks
 

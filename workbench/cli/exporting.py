@@ -105,7 +105,7 @@ def _check_targets(to: list[Path], character: str | None) -> None:
         place = place_of(path)
         other = taken.setdefault(place.absolute(), path)
         if other is not path:
-            raise InputError(f"{other} and {path} would both be written to {place}; give each a name of its own.")
+            raise InputError(f"{other} and {path} would both be written to {place}; give each its own name.")
         if format_of(path) in MESHES:
             check_free(place)
         if character is not None:

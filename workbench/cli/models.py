@@ -29,7 +29,7 @@ PATH is a FLAME file (.pkl, .npz), a Basel Face Model (.h5, .mat), GNM Head (.np
   workbench model show generic_model.pkl --picture check.png
 """
 LANDMARKS_HELP = "landmarks.toml, or for FLAME a published embedding; else the model's own, or fitted."
-UNIT_HELP = "Unit of the file (m, dm, cm, mm, um), for heads of no human size."
+UNIT_HELP = "Unit of the file (m, dm, cm, mm, um), for heads that are not of human size."
 
 model_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GROUP_HELP)
 

@@ -27,7 +27,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train landmarks training --quick      everything at a tiny size, to see it work
 
   workbench train landmarks training --start landmarks.safetensors
-                                                  start from weights that are there
+                                                  start from existing weights
 
   workbench train finder training                 the face finder, from the same pool
 
@@ -58,7 +58,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {
 }
 """What each training leaves at its end, tables last. Its checkpoints are in a folder of its name."""
 WITHOUT_CHECKPOINTS = (Network.gain, Network.expressions)
-"""Learned in one go, which is repeated where it was interrupted."""
+"""Learned in one go; if it is interrupted, it starts over."""
 
 
 def train(
@@ -71,7 +71,8 @@ def train(
         Path | None, typer.Option(help="Weights to start from; without it, training starts from scratch.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Train again; old checkpoints and weights go, the pool stays.")
+        bool,
+        typer.Option("--overwrite", help="Train again; old checkpoints and weights are deleted, the pool is kept."),
     ] = False,
 ) -> None:
     """Train one of the bundled networks."""

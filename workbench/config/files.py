@@ -30,7 +30,7 @@ def read_config(path: str | Path) -> Config:
     """
     absent = f"The configuration {path} does not exist; `workbench track` writes one as config.toml."
     path = checked_file(path, "a configuration", ConfigError, absent, may_be_empty=True)
-    with reading(path, "a configuration", "begin with what `workbench config show` prints", ConfigError):
+    with reading(path, "a configuration", "start from what `workbench config show` prints", ConfigError):
         return parse_config(toml_tables(path, ConfigError), str(path))
 
 

@@ -109,7 +109,9 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
         notes += note_on_rate(track)
     identity, others = main_identity(track)
     if others:
-        notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
+        notes.append(
+            f"the shots have {others + 1} face shapes; the one with the most frames is used for all, or use --shot"
+        )
     rate = float(rate or stored or RATE_OF_IMAGES)
     return Clip(track, model.personal(identity), rate, tuple(notes))
 

@@ -29,7 +29,7 @@ def format_of(path: str | Path) -> str:
     name = Path(path).name.lower()
     if name in ("", *SAME, *FORMATS):
         raise InputError(
-            f"A track is exported as {', '.join(FORMATS)}, with a name before it such as talk.glb; "
+            f"A track is exported as {', '.join(FORMATS)}, with a name in front, such as talk.glb; "
             f"got {name or 'no name'}: name the file."
         )
     for suffix in (".arkit.csv", *SAME, *FORMATS):

@@ -127,7 +127,7 @@ def _character(path: Path, name: str, table: Any) -> Character:
         raise ModelError(f"{place}: {missing[0]} is missing; a character needs {', '.join(MUST)}.")
     for key in TEXTS:
         if not isinstance(table.get(key, ""), str):
-            raise ModelError(f"{place}: {key} needs a text, got {shortened(table[key])}.")
+            raise ModelError(f"{place}: {key} needs text, got {shortened(table[key])}.")
     colors = {key: _numbers(place, key, table[key], 3, *within) for key, within in COLORS.items() if key in table}
     identity = _numbers(place, "identity", table["identity"], None, -MOST_SIGMA, MOST_SIGMA)
     texts = {key: table[key] for key in TEXTS if key in table}

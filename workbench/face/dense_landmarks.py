@@ -70,7 +70,7 @@ def _carried_over(model: FaceModel) -> Embedding:
         raise ModelError(
             f"The landmarks of the scheme {DENSE.name!r} could not be placed on {model.name!r}: the default head does "
             f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, {fit.distance_mm:.1f} mm away in "
-            "the middle); use its 68 (another landmarks.detector)."
+            "the median); use its 68 (another landmarks.detector)."
         )
     return Embedding(fit.landmarks.vertices[POINT_COUNT:], fit.landmarks.barycentric[POINT_COUNT:])
 

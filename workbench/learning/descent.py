@@ -196,7 +196,7 @@ def read_learning(path: Path) -> Learning:
             raise ValueError("another format")
         found = Learning(**held)
         if any(len(found.logs[name]) != len(log) for name, log in found.momentum.items()):
-            raise ValueError("another number of factors")
+            raise ValueError("a different number of factors")
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path} is not a stored learning ({error}); {ANEW}.") from error
     return found

@@ -10,7 +10,7 @@ from workbench.objectives import WeightedSum
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import settings_read
 
-ANEW = "begin anew by --overwrite in place of --resume (in a session, without resume=True)"
+ANEW = "start again with --overwrite instead of --resume (in a session, without resume=True)"
 """The advice in errors about a stored search or learning that does not fit what is asked for."""
 
 

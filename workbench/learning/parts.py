@@ -32,7 +32,7 @@ def read_frames(text: str) -> range:
     """The frames that A:B names, B not among them. Raises `ConfigError` for anything else."""
     found = _PART.fullmatch(text.strip())
     if found is None or int(found[1]) >= int(found[2]):
-        raise ConfigError(f"A part of a clip is FIRST:END, the end not among it, got {text!r}; for example 0:300.")
+        raise ConfigError(f"A part of a clip is FIRST:END, without the frame END, got {text!r}; for example 0:300.")
     return range(int(found[1]), int(found[2]))
 
 
@@ -63,5 +63,5 @@ def parts_of_clip(
             )
     for (name, part), (other, later) in pairwise(in_order):
         if later.start < part.stop:
-            raise InputError(f"The parts {name} and {other} share frame {later.start}; no frame is for two things.")
+            raise InputError(f"The parts {name} and {other} share frame {later.start}; no frame may be in two parts.")
     return parts

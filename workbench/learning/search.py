@@ -142,7 +142,7 @@ def _check_lines(journal: Path) -> None:
     for line in lines:
         checked_json(line)
     if lines and not lines[-1].endswith(b"\n"):
-        raise ValueError("the last line is torn")
+        raise ValueError("the last line is incomplete")
 
 
 def value_of(

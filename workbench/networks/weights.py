@@ -60,7 +60,7 @@ def read_weights(path: str | Path) -> Weights:
         path, "weights", absent=f"there is no weights file {path}; check the name and the folder.", may_be_empty=True
     )
     remedy = (
-        "it is cut off or of another kind; get it again, or make one of a PyTorch checkpoint by: "
+        "it is cut off or of another kind; get it again, or make one from a PyTorch checkpoint with: "
         "workbench weights convert FILE"
     )
     with reading(path, "a safetensors file", remedy), safe_open(path, framework="numpy") as file:

@@ -118,7 +118,7 @@ def heat_map_pair(
     look = solution.results[stage].prediction.looks[view]
     if look is None or look.heat_maps is None or not np.any(np.asarray(camera.weights) > 0.0):
         raise InputError(
-            f'View {view} has no heat maps: there are some where the network found a face, deep.energy is "deep" or '
+            f'View {view} has no heat maps: it has them only if the network found a face, deep.energy is "deep" or '
             '"mixed", and deep.network is not dense.'
         )
     target, box = np.asarray(camera.target), crop_of(network, jnp.asarray(camera.target))

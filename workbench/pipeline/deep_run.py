@@ -176,5 +176,5 @@ def _fits(batch: Sequence[Pair], tracker: FaceTracker, workers: Workers, work: F
     ]
     for result in in_order(workers.results(tasks, work)):
         if isinstance(result, Failed):
-            raise InputError(f"{result.reason} Finished frames are kept; --resume goes on after them.")
+            raise InputError(f"{result.reason} Finished frames are kept; --resume continues after them.")
         yield result

@@ -183,10 +183,10 @@ def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
     if was not in (None, now) and _fingerprint({**made, "versions": now}) in map(_fingerprint, wanted):
         names = [name for name in {**was, **now} if was.get(name) != now.get(name)]
         listed = ", ".join(f"{name} {was.get(name, 'none')}, now {now.get(name, 'none')}" for name in names)
-        return f"that was begun with other versions ({listed}); install those again, name another folder"
+        return f"that was started with other versions ({listed}); install those again, name another folder"
     ran, runs = made.get("detector"), wanted[0]["detector"]
     if ran and runs and ran != runs and _fingerprint({**made, "detector": runs}) in map(_fingerprint, wanted):
-        return f"that was begun with the detector {ran}; go on with --detector {ran}, name another folder"
+        return f"that was started with the detector {ran}; continue with --detector {ran}, name another folder"
     return "of another input or configuration; name another folder"
 
 
@@ -205,7 +205,7 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
         files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
         for name in PARTS:
             shutil.rmtree(job.folder / name, ignore_errors=True)
-        note = "This run was finished before, and nothing was left to do; --overwrite without --resume repeats it."
+        note = "This run was already finished; --overwrite without --resume repeats it."
         return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn_in(job.folder)), (note,))
     if job.overwrite:
         return None
@@ -281,7 +281,7 @@ def _blind_terms(config: Config, scheme: LandmarkScheme) -> list[str]:
         return []
     seeing = " or ".join(name for name, seen in OF_DETECTORS.items() if "pupils" in seen.groups)
     said = f"These landmarks have no pupils: eyes do not turn, and {', '.join(blind)} have no effect"
-    return [f"{said}; take those of the detector {seeing}."]
+    return [f"{said}; use those of the detector {seeing}."]
 
 
 def retrack(

@@ -122,7 +122,7 @@ def _numbers(stored: Mapping[str, np.ndarray], name: str) -> Float[np.ndarray, "
     """An array as 32-bit numbers. Raises ValueError unless it holds numbers of colours, light or pixels."""
     array = stored[name]
     if array.dtype not in (np.float32, np.float64) or not (np.abs(array) < LARGEST).all():
-        raise ValueError(f"{name} holds something else than finite numbers")
+        raise ValueError(f"{name} holds something other than finite numbers")
     return array if name == "residual" else array.astype(np.float32)
 
 

@@ -198,7 +198,7 @@ def mean_errors(errors: Sequence[PoseErrors]) -> MeanErrors:
     frames = sum(len(one.angles_deg) for one in errors)
     missed = sum(one.missed for one in errors)
     if not frames:
-        raise InputError(f"No mean of errors without a frame that shows a face; {missed} frames were missed.")
+        raise InputError(f"No frame shows a face, so there is no mean error; {missed} frames were missed.")
     yaw, pitch, roll = (float(value) for value in np.concatenate([one.angles_deg for one in errors]).mean(axis=0))
     x, y, z = (float(value) for value in np.concatenate([one.places_in for one in errors]).mean(axis=0))
     return MeanErrors(roll, pitch, yaw, (roll + pitch + yaw) / 3.0, (x, y, z), frames, missed)

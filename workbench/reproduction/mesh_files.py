@@ -93,7 +93,7 @@ def _read_program(folder: Path, frames: Collection[int], found: dict[tuple[str, 
             others.append(path.name)
         elif named is None or int(named[1]) not in frames:
             names = ", ".join(f"frame_{frame}" for frame in sorted(frames))
-            problems.append(f"{path} is of no picture here; its name should begin with one of {names}.")
+            problems.append(f"{path} belongs to no picture here; its name should begin with one of {names}.")
         else:
             key = folder.name, int(named[1])
             try:

@@ -74,7 +74,8 @@ def check_default_head(meta: Mapping[str, Any]) -> None:
     name = (meta.get("model") or {}).get("name", "default-head")
     if name != "default-head":
         raise InputError(
-            f"This track was fitted with the model {name}; open it from code with that one, as open_session(track, "
+            f"This track was fitted with the model {name}; open it from code with that one, for example "
+            "open_session(track, "
             "model=load_face_model(FILE)), or with model=load_default_head() to fit the default head to its landmarks."
         )
 

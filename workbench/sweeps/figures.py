@@ -154,7 +154,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     area.set_ylim(-0.02, 1.02)
     area.set_xlim(-0.4, len(scales) - 0.6)
     area.spines[:].set_visible(False)
-    area.set_title(f"orange: the tenth of the points with the least {wanted}", fontsize=10, loc="left", pad=22)
+    area.set_title(f"orange: the tenth of the points with the lowest {wanted}", fontsize=10, loc="left", pad=22)
     figure.tight_layout()
     return figure
 
@@ -163,7 +163,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
 def pareto_figure(
     result: SweepResult, across: str = "error", up: str = "jitter", colour: str | None = "iterations"
 ) -> Figure:
-    """Two objectives against each other, the colour a third; ringed and joined: what no other point beats in both.
+    """Two objectives against each other, the colour a third; ringed and joined: points that no other beats in both.
 
     Points that are unbeaten in all three, but not in the two, have a thin ring.
     """
@@ -188,9 +188,9 @@ def pareto_figure(
     area.tick_params(labelsize=9)
     area.margins(0.08)
     without_frame(area)
-    title = [f"what no other point beats in {across} and {up}", *named]
+    title = [f"points that no other beats in {across} and {up}", *named]
     if third is not None and len(unbeaten) > len(front):
-        title.append(f"thin ring: beaten in these two, but not with {colour} besides")
+        title.append(f"thin ring: beaten in these two, but not with {colour} as well")
     area.set_title("\n".join(title), fontsize=9, loc="left")
     figure.tight_layout()
     return figure

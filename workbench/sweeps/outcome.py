@@ -49,7 +49,7 @@ class SweepResult:
     def config(self, number: int | None) -> Config:
         """The configuration of a point. Raises `InputError` where none was chosen, as `best` and `steadiest` may."""
         if number is None:
-            raise InputError("No point of the sweep was chosen: none has a value of what it is chosen by.")
+            raise InputError("No point of the sweep was chosen: none has a value of the objective that chooses.")
         return config_at(self.base, self.points[number])
 
     def frames(self, objective: str, number: int) -> Float[np.ndarray, "n"]:

@@ -94,7 +94,9 @@ def read_axis(text: str) -> Axis:
     if whole := _WHOLE.fullmatch(values):
         first, last, step = int(whole["first"]), int(whole["last"]), int(whole["step"] or 1)
         if step < 1 or last < first or (last - first) // step >= MOST_VALUES:
-            raise ConfigError(f"{text}: the range is empty; write FIRST..LAST with FIRST below LAST, as 1..30.")
+            raise ConfigError(
+                f"{text}: the range is empty; write FIRST..LAST with FIRST below LAST, for example 1..30."
+            )
         return Axis(path, tuple(range(first, last + 1, step)), "whole")
     if _RANGE.match(values):
         raise ConfigError(f"{text}: FIRST..LAST..STEP is for whole numbers; write others as lin(0.5,3,6).")
@@ -115,7 +117,7 @@ def _scale(path: str, scale: str, numbers: str, text: str) -> Axis:
             f"{text}: the range is empty; write {scale}(FIRST,LAST,COUNT), FIRST below LAST, COUNT above 1."
         )
     if scale == "log" and first <= 0.0:
-        raise ConfigError(f"{text}: a logarithmic scale begins above 0, got {first:g}.")
+        raise ConfigError(f"{text}: a logarithmic scale starts above 0, got {first:g}.")
     spaced = np.geomspace if scale == "log" else np.linspace
     values = () if count is None else tuple(float(value) for value in spaced(first, last, count))
     return Axis(path, values, scale, (first, last))

@@ -245,7 +245,7 @@ def sources_of(
         if given and len(given) != len(clips):
             raise InputError(f"There are {len(clips)} clips and {len(given)} {what}; give one for each clip, in order.")
     if bool(views) != bool(rig):
-        raise InputError("A second camera is its clip and the rig that both belong to; give --view and --rig.")
+        raise InputError("A second camera needs its clip and the rig of both; give --view and --rig.")
     return tuple(
         ClipSource(
             clip,

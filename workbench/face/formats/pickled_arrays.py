@@ -188,7 +188,7 @@ def _dtype(record: Record) -> np.dtype:
         case "dtype", (str(code), *_), state if re.fullmatch("[biuf][0-9]{1,2}", code):
             order = state[1] if isinstance(state, tuple) and len(state) > 1 and state[1] in ("<", ">") else ""
             return np.dtype(order + code)
-    raise UnreadableError("it holds an array of something else than numbers")
+    raise UnreadableError("it holds an array of something other than numbers")
 
 
 def _array(data: Any, dtype: np.dtype, shape: tuple, order: str) -> np.ndarray:

@@ -105,7 +105,7 @@ def _columns_of(path: Path, header: list[str]) -> tuple[LandmarkScheme, bool]:
     if not header:
         problem = "the file is empty"
     elif not missing:
-        problem = "the columns are in another order, or there are others"
+        problem = "the columns are in another order, or some are unknown"
     elif len(missing) > 8:
         problem = f"it begins with {shortened(repr(','.join(header[:4])))} and {len(missing)} columns are missing"
     else:

@@ -55,7 +55,7 @@ def checked_landmarks(where: str, points: object, confidence: object, size: tupl
         landmarks = Landmarks2D(array, certainty, size)
         far = np.flatnonzero((np.abs(landmarks.points) > LARGEST_SIDE).any(axis=1))
         if far.size:
-            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside of any picture")
+            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside any picture")
         return landmarks
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
@@ -92,7 +92,7 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
                 f"{path}: frame indices must ascend, got {record.frame} after {following - 1}: sort the frames"
             )
         if absent > MOST_MISSING:
-            raise InputError(f"{path}: {absent} frames are left out before frame {record.frame}: mend the number")
+            raise InputError(f"{path}: {absent} frames are missing before frame {record.frame}: correct the number")
         for frame in range(following, record.frame):
             yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, record.size)
         yield record
