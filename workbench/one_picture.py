@@ -126,7 +126,7 @@ def fit(
 
     `landmarks` (a scheme's points in pixels, or a landmark file) replace the detector. `model` is a face model or its
     file, the default head if left out; `config` a configuration, the name of a preset, or a TOML file. Of several faces
-    the largest counts, or the one at `landmarks.face` of the configuration. Detector and solver are kept for the
+    the largest is fitted, or the one at `landmarks.face` of the configuration. Detector and solver are kept for the
     next call with the same model, so load a model's file once. The numbers are those of `workbench track`. Raises
     `InputError` for a picture without a face, and for anything that cannot be used.
     """

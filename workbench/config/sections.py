@@ -147,7 +147,7 @@ class IdentityConfig(Section):
 
 
 class HeadConfig(Section):
-    """How the default head is drawn; fits depend on it with deep.appearance = "character" alone."""
+    """How the default head is drawn; fits depend on it only with deep.appearance = "character"."""
 
     character: str = Field(
         PLAIN,
@@ -195,7 +195,7 @@ class LandmarksConfig(Section):
 
     @property
     def missed_face(self) -> str:
-        """What to say where a point names the face and none was found; empty where none does."""
+        """The message if a point names the face and none was found there; empty if no point does."""
         if self.face is None:
             return ""
         x, y = self.face

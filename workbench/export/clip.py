@@ -86,10 +86,10 @@ class Clip:
 def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: float | None = None) -> Clip:
     """The track with its person; `model` is what it was fitted with, or what it was retargeted to.
 
-    A file holds one face. Where the shots of a track have faces of their own, all are played by the one with the most
-    frames, unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for
-    a track without a face, for a shot that it does not have, for another model than the track's and for a rate that
-    is not between 0 and 1000.
+    A file holds one face. If the shots of a track have different faces, the one with the most frames is used for all,
+    unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for a track
+    without a face, for a shot that it does not have, for a model other than the track's and for a rate that is not
+    between 0 and 1000.
     """
     check_model(track, model)
     check_rate(rate)

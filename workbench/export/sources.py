@@ -59,7 +59,7 @@ def _inputs(meta: Mapping[str, Any]) -> list[Path]:
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
     """What a track was made from, by its metadata: files and folders that nothing may be written over.
 
-    Among them those of a copied folder that is worked in, beside the originals.
+    For a folder that was copied, both the copies and the originals.
     """
     named = filter(None, [*meta.get("inputs", []), meta.get("landmarks")])
     return [

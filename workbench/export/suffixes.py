@@ -25,7 +25,10 @@ SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 
 def format_of(path: str | Path) -> str:
-    """The key of `FORMATS` for a file name. Raises `InputError` for another suffix, and for nothing before it."""
+    """The key of `FORMATS` for a file name.
+
+    Raises `InputError` for any other suffix, and if there is no name before it.
+    """
     name = Path(path).name.lower()
     if name in ("", *SAME, *FORMATS):
         raise InputError(

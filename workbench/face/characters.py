@@ -88,7 +88,7 @@ def own_file(name: str | Path) -> Path | None:
 def find_character(name: str | Path) -> Character:
     """A ready character by name, or the first one of a TOML file, or of the one in a folder.
 
-    Raises `ModelError` for one that is not there.
+    Raises `ModelError` if there is none.
     """
     path = own_file(name)
     if path is None:
@@ -102,7 +102,7 @@ def find_character(name: str | Path) -> Character:
 
 
 def read_characters(path: Path) -> Mapping[str, Character]:
-    """The characters of a TOML file, one table each. Raises `ModelError` with what is wrong with the file."""
+    """The characters of a TOML file, one table each. Raises `ModelError` that says what is wrong with the file."""
     tables = toml_tables(checked_file(path, "characters", ModelError), ModelError)
     if not tables:
         raise ModelError(

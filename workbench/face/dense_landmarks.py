@@ -20,9 +20,9 @@ _PUPIL_RING = 8
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """The model with the landmarks of this scheme; the jaw joint keeps its unit.
 
-    The default head without the eyes' units, which none of the 68 shows, has them in a scheme with pupils.
-    The dense points are vertices of the default head. On another mesh they are where that head's are when it is laid on
-    the surface. Raises `ModelError` where it does not fit there.
+    The default head without the eyes' units, which none of the 68 shows, has them in a scheme with pupils. The dense
+    points are vertices of the default head. On another mesh they are placed by laying the default head on its surface.
+    Raises `ModelError` if it does not fit.
     """
     if scheme is model.scheme:
         return model

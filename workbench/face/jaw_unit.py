@@ -39,11 +39,11 @@ class JawUnit:
 
     @property
     def relative(self) -> Float[np.ndarray, "6"]:
-        """The same in parts of `USUAL_JAW`."""
+        """The same as a fraction of `USUAL_JAW`."""
         return self.vector / USUAL_JAW.vector
 
     def scaled(self, size: float) -> "JawUnit":
-        """The unit of a head that is `size` times as large and otherwise the same: angles know no size."""
+        """The unit of a head that is `size` times as large and otherwise the same: angles do not depend on size."""
         return JawUnit(self.open_deg, size * self.sideways_mm, size * self.forward_mm)
 
 

@@ -73,8 +73,8 @@ def read_rig(
 ) -> Rig:
     """The rig of a `rig.toml`, or of one or several OpenCV files (see the module), the reference first.
 
-    `unit` (mm, cm, m) and `image_size` (width, height) say what OpenCV files do not; millimetres are assumed for want
-    of a unit. Raises `InputError` that names the file and what to mend, also for a rig that cannot be (see `Rig`).
+    `unit` (mm, cm, m) and `image_size` (width, height) give what OpenCV files leave out; without a unit, millimetres
+    are assumed. Raises `InputError` that names the file and what to correct, also for an impossible rig (see `Rig`).
     """
     paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:

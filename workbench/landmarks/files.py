@@ -38,10 +38,10 @@ def is_landmark_file(path: Path) -> bool:
 def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = None) -> Iterator[LandmarkRecord]:
     """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 
-    `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for one .pts it
-    may be left out: the smallest size that contains all points stands in. Points that all coincide mean that there is
-    no face: some programs write zeros then. Raises `InputError` that names the line (or entry) and what to mend, for
-    the header of a CSV at this call, for its rows while iterating.
+    `image_size`, (width, height) in pixels, is for files that do not state it (`states_size`). It may be left out only
+    for a single .pts: then the smallest size that contains all points is used. Points that all coincide mean that there
+    is no face: some programs write zeros then. Raises `InputError` that names the line (or entry) and what to correct:
+    for the header of a CSV at this call, for its rows while iterating.
     """
     return map(_with_extent, _records(Path(path), image_size))
 

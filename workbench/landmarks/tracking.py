@@ -52,7 +52,7 @@ class LandmarkTracker:
     """Follows one face, one picture at a time.
 
     Confidence in tracked frames is the predictor's own (scatter under moved boxes) times the agreement of flow and
-    predictor, times how far the last alignment from scratch bore it out. The same pictures give the same results, also
+    predictor, times how far the last alignment from scratch confirmed it. The same pictures give the same results, also
     after `state` / `restore` at any frame.
     """
 

@@ -47,7 +47,7 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Learning:
-    """What is known after so many steps; written as JSON, so that it can be looked at and continued."""
+    """The state after some steps; written as JSON, so that it can be inspected and continued."""
 
     key: str
     """SHA-256 of what is learned, from what and on what."""

@@ -23,9 +23,9 @@ class Change(NamedTuple):
 
 
 def change_of(before: Float[np.ndarray, "n"], after: Float[np.ndarray, "n"], seed: int = 0) -> Change:
-    """The change from one value a frame to another; frames without both do not count.
+    """The change from one value per frame to another; frames without both do not count.
 
-    NaN without such a frame, and where the mean before is 0.
+    NaN if no frame has both, or if the mean before is 0.
     """
     known = ~np.isnan(before) & ~np.isnan(after)
     before, after = before[known], after[known]

@@ -99,8 +99,8 @@ ROWS = (
     Objective(
         name="flow",
         says="distance between the motion of the model's landmarks and the motion of the picture there",
-        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; also depth, and what "
-        "moves without texture",
+        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; also depth, and "
+        "what moves without texture",
         unit="% of the eye distance",
         function="without_truth:flow_error",
         needs="flow",
@@ -167,7 +167,7 @@ TABLE: Mapping[str, Objective] = MappingProxyType({row.name: row for row in ROWS
 
 
 def measure(name: str) -> Callable[[ObservedClip, FittedClip], Float[AnyArray, "n"]]:
-    """The function of an objective. Raises `ConfigError` for a name that no row has."""
+    """The function of an objective. Raises `ConfigError` for an unknown name."""
     module, function = objective(name).function.split(":")
     return getattr(import_module(f"workbench.objectives.{module}"), function)
 
@@ -180,9 +180,9 @@ def objective(name: str) -> Objective:
 
 
 def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> dict[str, Float[AnyArray, "n"]]:
-    """Some objectives of the fits of a clip, a number a frame each.
+    """Some objectives of the fits of a clip, each with one number per frame.
 
-    Raises `InputError` where the clip lacks what an objective needs.
+    Raises `InputError` if the clip lacks what an objective needs.
     """
     names = tuple(names)
     check_usable(names, clip)
@@ -190,14 +190,14 @@ def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> d
 
 
 def check_usable(names: Iterable[str], clip: ObservedClip) -> None:
-    """Raise `InputError` where a clip lacks what an objective needs."""
+    """Raise `InputError` if a clip lacks what an objective needs."""
     for name in names:
         if not usable(objective(name), clip):
             raise lacking(name)
 
 
 def lacking(name: str) -> InputError:
-    """What is raised where a clip lacks what an objective needs."""
+    """The error for a clip that lacks what an objective needs."""
     return InputError(f"The objective {name!r} needs {NEEDED[TABLE[name].needs]}; this clip does not have it.")
 
 

@@ -27,9 +27,9 @@ def read_truth(
     """What a file says of these frames of a clip; NaN for those that it does not have.
 
     A `.npz` holds any of `rotation` (n, 3), `translation` (n, 3), `expression` (n, k) with `expression_names` (k),
-    `identity` and `landmarks` (n, 68, 2), row by frame, as `data_samples/performance_truth.npz`; or it is a track,
-    whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by
-    the file names of all `pictures`, of which frame 0 is the `first`. Raises `InputError` for anything else.
+    `identity` and `landmarks` (n, 68, 2), one row per frame, like `data_samples/performance_truth.npz`; or it is a
+    track, whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by the
+    file names of all `pictures`, of which frame 0 is the `first`. Raises `InputError` for anything else.
     """
     path = checked_file(path, "a truth")
     if path.suffix.lower() != ".npz":

@@ -66,7 +66,7 @@ def run_folder(
 
 
 def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
-    """Raise `OutputError` where a run into this folder would write over one of these files or folders."""
+    """Raise `OutputError` if a run into this folder would overwrite one of these files or folders."""
     # os.path answers about any name, also about one that cannot be.
     subfolders = [folder / name for name in PICTURE_FOLDERS if os.path.isdir(folder / name)]
     drawn = [path for subfolder in subfolders for path in subfolder.iterdir()]

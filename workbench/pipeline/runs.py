@@ -92,8 +92,8 @@ def track(
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
     names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
-    goes on with a run of the same input and configuration by the same versions, whose finished parts are kept when it
-    is interrupted; `overwrite` replaces what an earlier run left. With both, what cannot be gone on with is replaced.
+    continues a run of the same input and configuration by the same versions, whose finished parts are kept when it is
+    interrupted; `overwrite` replaces what an earlier run left. With both, a run that cannot be continued is replaced.
     Raises `InputError` for an input that cannot be used, `OutputError` for a folder that cannot be written, holds
     another run, or whose files are inputs, and `LostSchedulerError`.
     """
@@ -299,8 +299,8 @@ def retrack(
 ) -> RunResult:
     """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
 
-    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
-    they were moved. Steps that look at no pictures need none; without them no film is drawn. `overwrite` replaces what
+    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, if they
+    were moved. Steps that do not look at pictures need none; without them no film is drawn. `overwrite` replaces what
     an earlier run left. Raises `InputError` for a track, model or pictures that cannot be used, and `OutputError` as
     `track` does.
     """

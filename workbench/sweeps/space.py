@@ -49,7 +49,7 @@ class Axis:
         return all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values)
 
     def at(self, share: float) -> Any:
-        """The value at a share of the axis, from 0 to 1."""
+        """The value at a fraction of the axis, from 0 to 1."""
         if self.between is None:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         first, last = self.between
@@ -60,7 +60,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How points are chosen: all of the grid, or so many samples."""
+    """How points are chosen: all of the grid, or a number of samples."""
 
     kind: Literal["grid", "random", "sobol"] = "grid"
     count: int = 0

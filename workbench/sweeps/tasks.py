@@ -100,7 +100,7 @@ class FitTask:
 
 
 def config_of(text: str) -> Config:
-    """The configuration of its JSON."""
+    """The configuration from its JSON."""
     return parse_config(json.loads(text), "a sweep's task")
 
 

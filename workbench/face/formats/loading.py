@@ -52,15 +52,15 @@ def load_face_model(
     identity: int | None = COMPONENTS,
     expressions: int | None = COMPONENTS,
 ) -> FaceModel:
-    """The face model of a file or folder: head frame, millimetres, ARKit's names where the file has such shapes.
+    """The face model of a file or folder: head frame, millimetres, ARKit's names if the file has such shapes.
 
     Read are FLAME (.pkl, never executed, or .npz), Basel 2009, 2017 and 2019 (.mat, .h5), GNM Head (.npz), ICT-FaceKit
     (folder), glTF with morph targets (.glb, .gltf) and folders of OBJ targets; the workbench's own head (.npz) too.
     `landmarks` is a `landmarks.toml`, or for FLAME a published embedding; without it, the format's own landmarks are
-    taken (for FLAME from the embeddings beside the model), and what is missing is fitted (`landmark_fit`). `unit` ("m",
-    "cm", "mm", …) is for heads of no human size. Of statistical bases the first `identity` and `expressions` components
-    are kept, all with None. Raises `ModelError` where parts are missing or do not belong together, and for `landmarks`
-    or a `unit` that the format has no use for.
+    taken (for FLAME from the embeddings next to the model), and what is missing is fitted (`landmark_fit`). `unit`
+    ("m", "cm", "mm", …) is for heads that are not of human size. Of statistical bases the first `identity` and
+    `expressions` components are kept; None keeps all. Raises `ModelError` if parts are missing or do not belong
+    together, and for `landmarks` or a `unit` that the format does not use.
     """
     path = Path(path)
     with reading(shortened(path), "a face model", REMEDY, ModelError):
