@@ -522,7 +522,7 @@ class VideoWriter:
 
 
 def write_picture(path: str | Path, picture: UInt8[np.ndarray, "..."], quality: int = 95) -> None:
-    """Write an RGB picture (h, w, 3) as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), whole or not at all."""
+    """Write an RGB picture (h, w, 3) as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), atomically."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".png", ".jpg", ".jpeg"):

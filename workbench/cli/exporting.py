@@ -115,7 +115,7 @@ def _check_targets(to: list[Path], character: str | None) -> None:
 def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbench.FaceModel", list[str]]:
     """The model that a track was fitted with, from a file or the default head, and what is odd about it.
 
-    Raises `InputError` for a track of another model than the default head without its file.
+    Raises `InputError` for a track of a model other than the default head without its file.
     """
     from workbench.tracking.track_layout import scheme_of
 

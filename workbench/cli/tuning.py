@@ -113,7 +113,7 @@ def tune(
 
 @contextmanager
 def _telling_interruptions(path: Path) -> Iterator[None]:
-    """Say what is left of a tuning that is interrupted where there is no best to write yet, and end the command."""
+    """Say what is left of a tuning that is interrupted before there is a best to write, and end the command."""
     try:
         yield
     except KeyboardInterrupt:

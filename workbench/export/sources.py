@@ -18,7 +18,7 @@ def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     """The frames of the track's input, or of `pictures` in its place; of a part of a clip where it holds one.
 
     Of several cameras those of the rig's first view. Raises `InputError` where they are no longer, or others are, for
-    a track of landmarks alone, and, as it is read, for a frame of another size than the one that was tracked.
+    a track of landmarks alone, and, as it is read, for a frame of a different size from the one that was tracked.
     """
     if pictures is not None:
         return TrackedFrames(tracked_part(open_frames(pictures), track.meta), track, pictures)

@@ -176,7 +176,7 @@ def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
 
 
 def check_wears_characters(model: FaceModel) -> None:
-    """Raise `ModelError` for another model than the default head."""
+    """Raise `ModelError` for a model other than the default head."""
     if model.name != load_default_head().name:
         raise ModelError(
             f"Characters are for the default head, this is the model {model.name}; leave the character at {PLAIN!r}."

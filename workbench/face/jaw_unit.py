@@ -60,7 +60,7 @@ def fitted_jaw_unit(
     """The unit with which the joint moves some points most nearly as the jaw blendshapes do (least squares).
 
     The points hang on the joint by `weights` w, `arms` are w times their offsets from its pivot, and `shapes` their
-    offsets under `JAW_SHAPES`; head frame, millimetres. `usual` stands in for what no shape tells.
+    offsets under `JAW_SHAPES`; head frame, millimetres. `usual` replaces what no shape determines.
     """
     sideways = [
         sign * _shift(weights, shapes[name][:, 0])

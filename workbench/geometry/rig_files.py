@@ -95,7 +95,7 @@ def read_rig(
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write a rig as `rig.toml` (see the module), whole or not at all; reading it gives the same numbers.
+    """Write a rig as `rig.toml` (see the module), completely or not at all; reading it gives the same numbers.
 
     Raises `InputError` for another suffix.
     """

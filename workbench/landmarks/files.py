@@ -100,7 +100,7 @@ def _checked(path: str | Path) -> Path:
 
 
 def write_landmark_file(path: str | Path, records: Iterable[LandmarkRecord]) -> None:
-    """Write records as .csv, .json or .pts by suffix, whole or not at all; .pts holds exactly one face."""
+    """Write records as .csv, .json or .pts by suffix, completely or not at all; .pts holds exactly one face."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":

@@ -203,7 +203,7 @@ def read_learning(path: Path) -> Learning:
 
 
 def stored(path: Path, key: str) -> Learning:
-    """A learning to go on with. Raises `InputError` if the file is not one, or of something else."""
+    """A learning to continue from. Raises `InputError` if the file is not one, or of something else."""
     found = read_learning(path)
     if found.key != key:
         raise InputError(f"{path} was learned from another configuration, clip, objective or part; {ANEW}.")

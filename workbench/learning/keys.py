@@ -15,7 +15,7 @@ ANEW = "start again with --overwrite instead of --resume (in a session, without 
 
 
 def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: WeightedSum, **more: Any) -> str:
-    """SHA-256 of all that a search or a learning goes on from; `more`, plain values, is what they differ in."""
+    """SHA-256 of all that a search or a learning continues from; `more`, plain values, is what they differ in."""
     read = {
         "config": settings_read(config, {"provenance"}),
         "clip": clip.digest,

@@ -34,7 +34,7 @@ STEPS, TRIALS = 24, 40
 TRAINED, WATCHED = 12, 4
 """Stretches that are learned on, and that choose the step, at most."""
 OF_LEARNING, OF_SEARCH = ".learning.json", ".study.log"
-"""What the files end with that an interrupted tuning goes on with."""
+"""Endings of the files that an interrupted tuning continues from."""
 
 Tell = Callable[[str, int, int, float, float | None], None]
 """Called with what is done ("learn", "search"), how many steps of how many, the value and the watched value."""

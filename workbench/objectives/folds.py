@@ -43,7 +43,7 @@ def frame_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray
 FOLDS: Mapping[str, Callable[..., Bool[np.ndarray, "f n points"]]] = MappingProxyType(
     {"points": point_folds, "parts": part_folds, "frames": frame_folds}
 )
-"""By kind: what each fold hides in a clip of so many frames, of the 68 or of another scheme's points."""
+"""By kind: what each fold hides in a clip with this many frames, of the 68 or of another scheme's points."""
 
 
 def folds_of(kinds: tuple[str, ...], frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:

@@ -26,7 +26,7 @@ NEEDED = {
     "flow": "the clip's pictures",
     "second": "the clip of a second camera and the rig of both (--view, --rig)",
 }
-"""What each need is, for whoever lacks it."""
+"""What each need is, for the error if it is missing."""
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _by_name(path: Path, arrays: dict[str, np.ndarray], model: FaceModel, of_fra
     names = [str(name) for name in arrays.get("expression_names", model.expression_names)]
     stored = of_frames("expression", len(names))
     if not set(names) & set(model.expression_names):
-        raise InputError(f"{path} has weights of other blendshapes than the model; name the model with --model.")
+        raise InputError(f"{path} has weights for none of the model's blendshapes; name the model with --model.")
     columns = [
         stored[:, names.index(name)] if name in names else np.zeros(len(stored)) for name in model.expression_names
     ]

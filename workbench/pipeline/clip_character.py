@@ -46,7 +46,7 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """What the clip does not tell: names of styles, as in `characters.toml`."""
+    """What the clip does not show: names of styles, as in `characters.toml`."""
 
     hair: str = ""
     """Empty: none."""

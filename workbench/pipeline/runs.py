@@ -166,7 +166,7 @@ def _telling_what_is_kept(folder: Path) -> Iterator[None]:
 
 
 def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
-    """Raise `OutputError` where a run to be resumed would begin anew over the parts of another one."""
+    """Raise `OutputError` if a run to be resumed would start again over the parts of another one."""
     if not job.resume or job.overwrite:
         return
     own = [meta, worked_meta(meta, job.config, job.steps)]
@@ -178,7 +178,7 @@ def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
 
 
 def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
-    """What another run, by its metadata, has that the wanted one has not, and what to do besides replacing it."""
+    """What another run, by its metadata, has that the wanted one lacks, and what to do other than replace it."""
     was, now = made.get("versions"), wanted[0]["versions"]
     if was not in (None, now) and _fingerprint({**made, "versions": now}) in map(_fingerprint, wanted):
         names = [name for name in {**was, **now} if was.get(name) != now.get(name)]

@@ -67,7 +67,7 @@ class Appearance:
     """Root mean square difference to the picture over the pixels that were used."""
 
     def save(self, path: str | Path) -> None:
-        """Write an .npz file, whole or not at all. Raises `InputError` for another suffix."""
+        """Write an .npz file, completely or not at all. Raises `InputError` for another suffix."""
         if Path(path).suffix != ".npz":
             raise InputError(f"An appearance is stored as .npz, got {Path(path).name}; change the name.")
         with atomic_path(path) as temporary, temporary.open("wb") as stream:

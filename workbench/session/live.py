@@ -54,7 +54,7 @@ class LiveState:
 
     config: Config
     calibration: Calibration | None
-    """On a neutral face; None: on the first second, which is no change that the user made."""
+    """On a neutral face; None: on the first second, which does not count as a change by the user."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a sweep found: a number a frame for every objective, point and clip, and the tables of them."""
+"""What a sweep found: one number per frame for every objective, point and clip, and the tables of them."""
 
 import csv
 from collections.abc import Callable, Collection, Mapping, Sequence

@@ -344,7 +344,7 @@ def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:
 
 
 def _at_rest(shapes: int) -> ChainState:
-    """The state before the first frame, which starts afresh whatever it is."""
+    """The state before the first frame, which starts from scratch whatever it is."""
     parameters = FaceParameters(*(jnp.zeros((CHAINS, size)) for size in (3, 3, shapes, 0, 0, 0)))
     pose = jnp.zeros((CHAINS, 6))
     return ChainState(parameters, pose, pose, jnp.zeros(CHAINS, int))

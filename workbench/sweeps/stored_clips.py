@@ -123,7 +123,7 @@ def _detector_of(source: ClipSource, config: Config) -> str:
 
 
 def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = "") -> SweptClip:
-    """Find the landmarks of every frame of a `local` clip, and what the objectives need besides.
+    """Find the landmarks of every frame of a `local` clip, and what else the objectives need.
 
     Raises `InputError` for a clip that cannot be read, that has no face, or whose motion is asked for without pictures.
     """

@@ -1,4 +1,4 @@
-"""What a sweep leaves in its folder besides the results: tables, figures, the best configuration."""
+"""What a sweep leaves in its folder in addition to the results: tables, figures, the best configuration."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatch

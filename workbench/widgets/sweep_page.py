@@ -22,7 +22,7 @@ from workbench.widgets.status_line import StatusLine
 from workbench.widgets.sweep_view import SweepView
 
 CHEAP = ("error", "jitter", "iterations")
-"""Objectives that cost nothing besides the fits: they are measured each time, so that one can look at the others."""
+"""Objectives that cost nothing beyond the fits: they are measured each time, so that one can look at the others."""
 FRAMES, VALUES, VALUES_OF_SECOND = 60, 15, 7
 CONTROLS_PX = 578
 CHANGED = "<span style='opacity:.7'>Other settings have changed since then; run it again.</span>"

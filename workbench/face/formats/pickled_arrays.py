@@ -51,7 +51,7 @@ def read_arrays(path: str | Path) -> dict[str, Any]:
 
 
 def array_of(arrays: dict[str, Any], key: str, path: object) -> np.ndarray:
-    """One array by its name. Raises `ModelError` where there is none, or something else under that name."""
+    """One array by its name. Raises `ModelError` if there is none, or something else under that name."""
     value = arrays.get(key)
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return value

@@ -35,7 +35,7 @@ def confidence_columns(scheme: LandmarkScheme = IBUG68) -> list[str]:
 
 
 class LandmarkCsvWriter:
-    """Write a CSV one frame at a time, with constant memory; used in a `with` block, whole or not at all."""
+    """Write a CSV one frame at a time, with constant memory; used in a `with` block, completely or not at all."""
 
     def __init__(self, path: str | Path, confidence: bool = True, scheme: LandmarkScheme = IBUG68) -> None:
         self.path = Path(path)

@@ -65,7 +65,7 @@ def checked_landmarks(where: str, points: object, confidence: object, size: tupl
 
 
 def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, int]:
-    """The (width, height) that was given with a file. Raises `InputError` where none was."""
+    """The (width, height) that was given with a file. Raises `InputError` if none was."""
     if image_size is None:
         raise InputError(
             f"{path} does not say how large its pictures are: name the clip or photo as well, as in "
@@ -122,7 +122,7 @@ def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str], firs
 
 
 def check_size(landmarks: Landmarks2D, size: tuple[int, int], picture: str) -> None:
-    """Raise `InputError` where landmarks are of a picture of another (width, height) than the `picture` has."""
+    """Raise `InputError` if landmarks are of a picture of a different (width, height) from the `picture`'s."""
     if landmarks.image_size != size:
         of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
         raise InputError(
