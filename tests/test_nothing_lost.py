@@ -253,7 +253,7 @@ class TestFinishedRuns:
         before = content(tmp_path / "out")
         again = quick(points, tmp_path / "out", resume=True)
         assert content(tmp_path / "out") == before
-        assert "finished before" in again.notes[0]
+        assert "already finished" in again.notes[0]
         assert again.summary["frames"] == FRAMES
         assert set(again.files) == set(whole.files)
 

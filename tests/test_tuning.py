@@ -388,7 +388,7 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     [
         ("observed", False, "nothing was tuned yet"),
         ("tuned", False, "nothing was tuned yet"),
-        ("tuned", True, "what was tuned so far is kept; --resume goes on with it"),
+        ("tuned", True, "what was tuned so far is kept; --resume continues it"),
     ],
 )
 def test_an_interruption_before_there_is_a_best_says_what_is_kept(run, clip, tmp_path, monkeypatch, cut, kept, said):
