@@ -257,9 +257,7 @@ class LandmarkTracker:
         }
         for name, shapes in {**expected, "counters": ((6,),)}.items():
             if name not in state or np.shape(state[name]) not in shapes:
-                raise InputError(
-                    f"this is not a tracker state: {name} is missing or has a different shape from {shapes[0]}"
-                )
+                raise InputError(f"not a tracker state: {name} is missing or has a different shape from {shapes[0]}")
         self.reset()
         check, bridged, search, retry, started, detections = (int(value) for value in state["counters"])
         if started and previous_picture is None:
