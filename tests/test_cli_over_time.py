@@ -197,7 +197,7 @@ def test_what_is_interrupted_while_its_film_is_drawn_leaves_nothing_to_go_on_wit
 def test_what_was_killed_is_only_replaced_for_it_cannot_be_resumed(run, talk, tmp_path, command):
     (tmp_path / "new" / "track.npz.parts").mkdir(parents=True)
     code, _, err = run(*command, "--out", "new", *QUICK)
-    said = "new already holds an interrupted run; name another folder, or replace it by --overwrite."
+    said = "new already holds an interrupted run; name another folder, or replace it with --overwrite."
     assert (code, err.split()) == (2, f"error: {said}".split())
 
 

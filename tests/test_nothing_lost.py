@@ -231,7 +231,7 @@ class TestFinishedRuns:
     def test_a_finished_run_is_replaced_only_on_demand(self, quick, points, tmp_path):
         quick(points, tmp_path / "out")
         before = content(tmp_path / "out")
-        with pytest.raises(OutputError, match="already holds a finished run; name another folder, or replace it by"):
+        with pytest.raises(OutputError, match="already holds a finished run; name another folder, or replace it with"):
             quick(points, tmp_path / "out")
         assert content(tmp_path / "out") == before
         assert len(quick(points, tmp_path / "out", overwrite=True, frames=(0, 2)).track) == 3
@@ -760,7 +760,9 @@ class TestTrainings:
 def test_a_recording_is_not_written_over_unasked(head, tmp_path):
     recording = Recording(performance(head), ())
     recording.save(tmp_path / "take")
-    with pytest.raises(OutputError, match="already holds a recording or a run; name another folder, or replace it by"):
+    with pytest.raises(
+        OutputError, match="already holds a recording or a run; name another folder, or replace it with"
+    ):
         recording.save(tmp_path / "take")
     (tmp_path / "clips").mkdir()
     (tmp_path / "clips" / "clip.mp4").write_text("mine")

@@ -361,7 +361,7 @@ def test_landmark_weights_are_read_as_they_are_written():
     assert read_landmarks(landmarks_text(table)) == table
     assert read_landmarks("jaw") == {"jaw": 1.0}
     assert read_landmarks("30 2, 31 2") == {"30": 2.0, "31": 2.0}
-    with pytest.raises(ConfigError, match="Write weights with a point"):
+    with pytest.raises(ConfigError, match="Write weights with a decimal point"):
         read_landmarks("jaw 0,25")
 
 

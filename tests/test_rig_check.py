@@ -310,7 +310,7 @@ def test_convert_turns_opencvs_files_into_a_rig(run, tmp_path):
         (("show", "none.toml"), "does not exist"),
         (("show", "rig.toml", "--picture", "rig.jpg"), "drawn as .png"),
         (("show", "rig.toml", "--size", "big"), "1280x720; got"),
-        (("show", "rig.toml", "--unit", "cm"), "says its unit"),
+        (("show", "rig.toml", "--unit", "cm"), "gives its own unit"),
         (("check", "rig.toml", "middle.csv"), "2 views (middle, side), got 1"),
         (("convert", "rig.toml", "--out", "rig.yml"), "written as .toml"),
     ],

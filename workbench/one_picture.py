@@ -234,9 +234,7 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
     if not isinstance(landmarks, Landmarks2D):
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if landmarks.coincide:
-        raise InputError(
-            "All landmarks coincide, as some programs write where they find no face; give those of a face."
-        )
+        raise InputError("All landmarks coincide, as some programs write if they find no face; give those of a face.")
     check_size(landmarks, size, "the picture")
     return landmarks
 

@@ -49,7 +49,7 @@ def export(
     run: Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")],
     to: Annotated[list[Path], typer.Option("--to", help="File to write; may be given several times.")],
     shot: Annotated[int | None, typer.Option(help="Only the frames of this shot, counted from 0.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second in place of the input's.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second instead of the input's.")] = None,
     character: Annotated[str | None, typer.Option(help=CHARACTER_HELP)] = None,
     mapping: Annotated[Path | None, typer.Option("--map", help="How its blendshapes follow from ours (TOML).")] = None,
     surface: Annotated[

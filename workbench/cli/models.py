@@ -59,7 +59,7 @@ def show(
     screen.console.print(table)
     if picture is not None:
         workbench.frames.write_picture(picture, workbench.pictures.model_check_picture(model))
-        screen.console.print(f"{escape(str(picture))}  [dim]check that every point lies where it should[/dim]")
+        screen.console.print(f"{escape(str(picture))}  [dim]check that every point is where it should be[/dim]")
 
 
 def _rows(model) -> list[tuple[str, str]]:

@@ -120,7 +120,7 @@ def note_on_rate(track: Track) -> tuple[str, ...]:
     """What a user should know of a track without a frame rate."""
     if track.meta.get("rate") or len(track) == 1:
         return ()
-    return (f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second",)
+    return (f"the input has no frame rate; frames are written at {RATE_OF_IMAGES:g} per second",)
 
 
 def without_failures(track: Track) -> Track:

@@ -69,8 +69,8 @@ def _carried_over(model: FaceModel) -> Embedding:
     if not fit.lies_on_it(own / usual):
         raise ModelError(
             f"The landmarks of the scheme {DENSE.name!r} could not be placed on {model.name!r}: the default head does "
-            f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, {fit.distance_mm:.1f} mm away in "
-            "the median); use its 68 (another landmarks.detector)."
+            f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, median distance "
+            f"{fit.distance_mm:.1f} mm); use its 68 (another landmarks.detector)."
         )
     return Embedding(fit.landmarks.vertices[POINT_COUNT:], fit.landmarks.barycentric[POINT_COUNT:])
 

@@ -270,7 +270,7 @@ def _check_shared_point(rig: Rig) -> None:
     if _largest_shared_ball(rig) < LEAST_SHARED_MM:
         raise InputError(
             f"The pictures of {', '.join(rig.names)} share no point in front of the cameras; "
-            'perhaps the poses are those of the cameras in the world: say pose = "world_from_view".'
+            'perhaps the poses are those of the cameras in the world: set pose = "world_from_view".'
         )
 
 

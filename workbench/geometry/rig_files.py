@@ -89,7 +89,7 @@ def read_rig(
         if len(paths) > 1:
             raise InputError(f"A rig.toml holds all views, got {len(paths)} files; name it alone.")
         if unit is not None or image_size is not None:
-            raise InputError(f"{paths[0]} says its unit and picture sizes itself; change them there.")
+            raise InputError(f"{paths[0]} gives its own unit and picture sizes; change them there.")
     with reading(" and ".join(map(str, paths)), "a rig", "calibrate again or compare with `workbench rig --help`"):
         return _read_toml(paths[0]) if toml else _read_opencv(paths, unit, image_size)
 

@@ -174,5 +174,5 @@ def _meeting_warnings(rig: Rig, meeting: Float[np.ndarray, "3"]) -> list[str]:
                 f"{name}: the axes meet {depth:.0f} mm in front of it, no place for a face: is the unit right?"
             )
         elif aside > GAP_PART * depth:
-            found.append(f"{name}: its axis passes {aside:.0f} mm beside the place where the axes meet.")
+            found.append(f"{name}: its axis misses the point where the axes meet by {aside:.0f} mm.")
     return found

@@ -18,7 +18,7 @@ class Change(NamedTuple):
 
     def __str__(self) -> str:
         if np.isnan(self.percent):
-            return "not known, as no frame has a value before and after, or the mean before is 0"
+            return "unknown, because no frame has a value before and after, or the mean before is 0"
         return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
 
 

@@ -76,7 +76,7 @@ def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
 def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str = "--overwrite") -> None:
     """Raise `OutputError` where one of these files is in a folder already: `what` is, and `remedy` would replace it."""
     if any((folder / name).exists() for name in names):
-        raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by {remedy}.")
+        raise OutputError(f"{folder} already holds {what}; name another folder, or replace it with {remedy}.")
 
 
 def drawn_in(folder: Path) -> list[Path]:

@@ -174,7 +174,7 @@ def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
     found = [begun for place in places if (begun := begun_run(place)) is not None]
     if found and not any(has_parts(place, _begun_as(place, meta)) for place in places for meta in own):
         what = f"an interrupted run {_unlike(found[0][1], own)}"
-        raise OutputError(f"{job.folder} holds {what}, or replace it by --overwrite.")
+        raise OutputError(f"{job.folder} holds {what}, or replace it with --overwrite.")
 
 
 def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
@@ -209,7 +209,7 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
         return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn_in(job.folder)), (note,))
     if job.overwrite:
         return None
-    raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it by --overwrite.")
+    raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it with --overwrite.")
 
 
 def _run(job: _Job, source, meta: dict[str, Any], stills: bool, watched: WatchedFiles) -> RunResult:

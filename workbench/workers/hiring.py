@@ -17,7 +17,7 @@ class Workers(Protocol):
     """Does tasks in any order."""
 
     said: str
-    """What a user should know, as the address of a dashboard; empty: nothing."""
+    """What a user should know, such as the address of a dashboard; empty: nothing."""
 
     @property
     def count(self) -> int:

@@ -207,7 +207,7 @@ def _fitted(
     if len(raw.landmarks) < 68 and not found:
         raise ModelError(
             f"{path}: the default head could not be laid on this mesh ({100 * fit.covered:.0f} % of its face found the "
-            f"surface, {fit.distance_mm:.1f} mm away in the median); give all 68 landmarks in landmarks.toml."
+            f"surface, median distance {fit.distance_mm:.1f} mm); give all 68 landmarks in landmarks.toml."
         )
     return fit, found
 
