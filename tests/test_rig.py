@@ -206,7 +206,7 @@ AWAY = np.array([-200.0, 0.0, 0.0])
         (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(focal_px=np.array([700.0, -1.0]))), "positive"),
         (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(distortion=np.full(8, np.nan))), "not finite"),
         (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(principal_point_px=np.array([900.0, 1.0]))), "outside"),
-        (lambda: pair(np.eye(3), np.zeros(3)), "one place"),
+        (lambda: pair(np.eye(3), np.zeros(3)), "same place"),
         (lambda: pair(np.eye(3), 0.001 * AWAY), "0.2 mm apart.*unit"),
         (lambda: pair(np.eye(3), 1000.0 * AWAY), "mm apart.*unit"),
         (lambda: pair(np.diag([-1.0, 1.0, -1.0]), AWAY), "share no point.*world_from_view"),
@@ -467,7 +467,7 @@ def test_opencvs_stereo_sample_writes_two_files_without_a_picture_size(tmp_path)
 
 def test_the_files_of_two_pairs_are_no_rig(tmp_path):
     files = [save_opencv(tmp_path / name, **PAIR, **WIDTH_HEIGHT) for name in ("ab.yml", "ac.yml")]
-    with pytest.raises(InputError, match=r"of several pairs of cameras; .*three or more cameras one file each"):
+    with pytest.raises(InputError, match=r"to several pairs of cameras; .*three or more cameras one file each"):
         read_rig(files)
 
 

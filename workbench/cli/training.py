@@ -93,7 +93,7 @@ def training_folder(folder: Path, network: str, overwrite: bool = False, start: 
     """Keep a folder for one training, which may be an interrupted one that goes on.
 
     To `overwrite` one removes its checkpoints and results, so that the new one can be interrupted, too. Raises
-    `OutputError` where `start`, the weights to start from, would be written over, where another training is at work,
+    `OutputError` where `start`, the weights to start from, would be overwritten, where another training is at work,
     and for a finished one or files of somebody else, unless told to `overwrite` them.
     """
     from workbench.pipeline.output_folder import check_no_results, locked
