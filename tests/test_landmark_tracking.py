@@ -370,7 +370,7 @@ def test_a_state_survives_npz_and_a_wrong_one_is_refused(tmp_path):
     ("options", "message"),
     [
         ({"check_interval": 0}, "check_interval must be at least 1"),
-        ({"keep_confidence": 1.5}, "keep_confidence must lie in"),
+        ({"keep_confidence": 1.5}, "keep_confidence must be in"),
         ({"surprise": 0.0}, "surprise must be positive"),
     ],
 )
