@@ -284,7 +284,7 @@ def test_the_scalp_takes_the_colour_of_the_hair(tmp_path):
     [
         (("", ""), None),
         (('eyes = "blue"\n', ""), "eyes is missing"),
-        (('eyes = "blue"', "eyes = 3"), "eyes needs a text"),
+        (('eyes = "blue"', "eyes = 3"), "eyes needs text"),
         (('eyes = "blue"', 'eyes = "violet"'), "no style 'violet' for eyes; the styles are blue"),
         (('skin = "young_lightskinned_male"', 'skin = "../head"'), "no skin '../head'; the skins are"),
         (('brows = "eyebrow001"', 'brows = "eyebrow999"'), "no style 'eyebrow999' for brows"),

@@ -105,7 +105,7 @@ def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does
         (["track", "points.csv", "--detector", "magic"], "landmarks.detector"),
         (["track", "points.csv", "--face-landmarker", "f.task"], "belongs to the detector mediapipe; add --detector"),
         (["track", "points.csv", "--face", "left"], "X,Y"),
-        (["track", "points.csv", "--fov", "40", "--rig", "rig.toml"], "--fov has no effect beside a rig"),
+        (["track", "points.csv", "--fov", "40", "--rig", "rig.toml"], "--fov has no effect with a rig"),
         (
             ["track", "points.csv", "--rig", "rig.toml", "--view", "side=a.csv", "--view", "side=b.csv"],
             "The view 'side' is given twice, as a.csv and as b.csv",
@@ -125,7 +125,7 @@ def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, poin
 def test_a_field_of_view_beside_the_configurations_rig_is_refused(run, points, tmp_path):
     write_config(preset("deep").changed(camera={"rig": "rig.toml"}), tmp_path / "stereo.toml")
     err = run("track", "points.csv", "--config", "stereo.toml", "--fov", "40")[2]
-    assert "--fov has no effect beside a rig, whose file holds the lenses; leave one of them out." in err
+    assert "--fov has no effect with a rig, whose file holds the lenses; leave one of them out." in err
 
 
 NAMES = ("track", "landmarks", "demo", "diagnose", "export", "config", "weights", "train", "lab", "app", "info")

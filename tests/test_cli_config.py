@@ -54,7 +54,7 @@ def test_check_tells_a_file_that_is_named_and_not_there(section, key, run, tmp_p
     (tmp_path / "mine.toml").write_text(f'preset = "joint"\n[{section}]\n{key} = "other/own.toml"\n')
     code, out, _ = run("config", "check", "mine.toml")
     assert code == 2
-    assert f"{section}.{key} names 'other/own.toml', and there is no such file here" in " ".join(out.split())
+    assert f"{section}.{key} names 'other/own.toml', which does not exist here" in " ".join(out.split())
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "own.toml").touch()
     assert run("config", "check", "mine.toml")[0] == 0

@@ -245,7 +245,7 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),
         (["talk", "--to", "x.mp4", "--fps", "0.0003"], "a rate between 0.001 and 1000"),
         (["talk", "--to", "x.csv", "--map", "m.toml"], "name it with --character"),
-        (["talk", "--to", "talk/track.npz"], "would be written over"),
+        (["talk", "--to", "talk/track.npz"], "would be overwritten"),
         (["talk", "--to", "x.glb", "--character", "meii"], "meii is neither a ready character"),
         (["talk", "--to", "talk.ply"], "talk already exists; name another folder for the meshes."),
         (["talk", "--to", "m.obj", "--to", "m.ply"], "m.obj and m.ply would both be written to m;"),

@@ -197,7 +197,7 @@ def test_what_is_interrupted_while_its_film_is_drawn_leaves_nothing_to_go_on_wit
 def test_what_was_killed_is_only_replaced_for_it_cannot_be_resumed(run, talk, tmp_path, command):
     (tmp_path / "new" / "track.npz.parts").mkdir(parents=True)
     code, _, err = run(*command, "--out", "new", *QUICK)
-    said = "new already holds an interrupted run; name another folder, or replace it by --overwrite."
+    said = "new already holds an interrupted run; name another folder, or replace it with --overwrite."
     assert (code, err.split()) == (2, f"error: {said}".split())
 
 
@@ -273,7 +273,7 @@ def test_where_nothing_was_filled_it_says_what_to_try(run, talk):
 def test_where_all_frames_are_named_it_says_so(run, talk):
     code, _, err = run("infill", "talk", "--method", "linear", "--frames", "0-11", *QUICK)
     assert code == 1
-    assert "the frames named have no usable fit beside them to fill from; name fewer" in " ".join(err.split())
+    assert "the frames named have no usable fit next to them to fill from; name fewer" in " ".join(err.split())
 
 
 @pytest.mark.parametrize("named", [".", "track.npz", "../talk", "sub/.."])

@@ -267,7 +267,7 @@ def test_a_name_that_means_another_character_is_refused(name, tracked, run, tmp_
     tracked.save(tmp_path / "run" / "track.npz")
     code, _, err = run("character", "run", "--out", name)
     assert code == 2
-    assert f"--character {name} is the character that comes along; name another folder" in err
+    assert f"--character {name} is a bundled character; name another folder" in err
     assert not (tmp_path / name).exists()
 
 

@@ -276,7 +276,7 @@ def test_points_that_were_moved_in_another_order_are_no_difference():
 
 def test_two_stages_of_one_name_are_refused():
     stages = [stage.model_dump() | {"name": "pose"} for stage in preset("calibrated").stages]
-    with pytest.raises(ConfigError, match="two stages are called 'pose': give each a name of its own"):
+    with pytest.raises(ConfigError, match="two stages are called 'pose': give each its own name"):
         preset("calibrated").changed(stages=stages)
 
 

@@ -806,8 +806,8 @@ def test_unknown_blendshapes_are_refused(deep):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
-        ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
+        ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which needs system"),
+        ({"camera": {"projection": "orthographic"}}, "an orthographic camera needs system"),
     ],
 )
 def test_face_it_has_neither_jaw_nor_parallel_views(change, words):

@@ -117,7 +117,7 @@ def test_rings_lie_where_the_photo_has_its_landmarks(photo, points):
 
 def test_preselected_points_make_a_strip_but_no_heat_maps(photo, points):
     assert stage_strip(photo, *points).shape[1] <= 1366
-    with pytest.raises(InputError, match=r"there are some where the network found a face, deep\.energy is"):
+    with pytest.raises(InputError, match=r"it has them only if the network found a face, deep\.energy is"):
         heat_map_pair(photo, points[1])
 
 

@@ -248,7 +248,7 @@ def test_a_rig_belongs_to_its_run_and_may_be_moved(head, stereo, tmp_path):
     config = preset("deep-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
     options = {"views": {"side": files["side"]}, "pictures": False}
     track(files["middle"], folder, head, config, **options)
-    assert "nothing was left to do" in track(files["middle"], folder, head, config, resume=True, **options).notes[0]
+    assert "already finished" in track(files["middle"], folder, head, config, resume=True, **options).notes[0]
     write_rig(make_rig((-15.0, 16.0)), rig)
     with pytest.raises(OutputError, match="another input or configuration"):
         track(files["middle"], folder, head, config, resume=True, **options)
@@ -316,7 +316,7 @@ def test_a_run_that_was_begun_with_a_rig_by_another_name_of_it_goes_on(project, 
     monkeypatch.chdir(project)
     config = preset("deep-points").changed(camera={"rig": "rig.toml"}, identity={"calibrate": False})
     options = {"views": {"side": project / "side.csv"}, "pictures": False, "resume": True}
-    assert "nothing was left to do" in track("middle.csv", "rg", head, config, **options).notes[0]
+    assert "already finished" in track("middle.csv", "rg", head, config, **options).notes[0]
 
 
 def test_a_rig_that_is_edited_while_a_run_reads_it_ends_the_run(project, head, tmp_path):

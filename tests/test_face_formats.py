@@ -334,7 +334,7 @@ def test_an_embedding_may_be_named(flame_file, subject, tmp_path):
 @pytest.mark.parametrize("write", [as_gnm, as_glb, as_obj_folder])
 def test_an_embedding_for_another_model_than_flame_is_refused(write, subject, tmp_path):
     np.save(tmp_path / "mine.npy", np.array(flame_embedding(subject), object), allow_pickle=True)
-    with pytest.raises(ModelError, match=r"is no landmarks\.toml: embeddings are read for FLAME alone"):
+    with pytest.raises(ModelError, match=r"is not a landmarks\.toml: embeddings are read for FLAME only"):
         load_face_model(write(tmp_path, subject), landmarks=tmp_path / "mine.npy")
 
 
@@ -660,7 +660,7 @@ def file_named(name):
         (glb_json(compressed), "without compression"),
         (glb_json(beyond_buffer), "reaches beyond its buffer"),
         (glb_json(outside_folder), "copy the whole folder"),
-        (glb_json(unnamed_targets), "does not tell where its face is"),
+        (glb_json(unnamed_targets), "does not say where its face is"),
         (file_named("face.gltf"), "cannot be read as glTF"),
         (file_named("face.fbx"), "export glTF"),
         (file_named("face.obj"), "one mesh"),

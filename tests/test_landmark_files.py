@@ -126,7 +126,7 @@ def row(frame: object = 0, cells: list[str] = CELLS) -> str:
         ("", "line 1.*the file is empty"),
         ("a,b,c\n", "line 1.*'a,b,c' and 139 columns are missing"),
         (HEADER.replace(",y67", "") + "\n", "line 1.*missing: y67"),
-        (HEADER + ",extra\n", "line 1.*another order, or there are others"),
+        (HEADER + ",extra\n", "line 1.*another order, or some are unknown"),
         (f"{HEADER}\n{row()}\n{row(1, CELLS[:-2])}\n", "line 3: expected 139 cells.*got 137"),
         (f"{HEADER}\n{row(0, ['nan', *CELLS[1:]])}\n", "line 2: landmark 0 is .*finite"),
         (f"{HEADER}\n{row(0, ['left', *CELLS[1:]])}\n", "line 2: x0 is 'left', expected a number"),

@@ -359,7 +359,7 @@ IMGLAB = dlib_xml([("file='a.jpg'", [dlib_box(LARGE)])])
         ("a.csv", OPENFACE.replace(", y_67", ", x_68"), "line 1: expected x and y of 68 points .*missing: y_67"),
         ("a.csv", OPENFACE.replace("\n1, 0", "\n0, 0"), "line 2: frame counts from 1, got 0"),
         ("a.csv", OPENFACE.replace("\n1, 0", "\none, 0"), "line 2: frame is 'one', expected a whole number"),
-        ("a.csv", OPENFACE.replace("\n1, 0", "\n9000000, 0"), "8999999 frames are left out before frame"),
+        ("a.csv", OPENFACE.replace("\n1, 0", "\n9000000, 0"), "8999999 frames are missing before frame"),
         ("a.csv", OPENFACE.replace("0.98", "1.98"), "line 2: the confidence of landmark 0 is 1.98"),
         ("a.csv", OPENFACE.replace("0.98", "sure"), "line 2: confidence is ' sure', expected a number"),
         ("a.csv", OPENFACE.replace(", 0.40", ""), "line 2: expected .* cells as in the header, got"),

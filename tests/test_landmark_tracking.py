@@ -362,7 +362,7 @@ def test_a_state_survives_npz_and_a_wrong_one_is_refused(tmp_path):
     LandmarkTracker(detector).restore(state, scenes[0].picture)
     with pytest.raises(InputError, match="pass that picture"):
         LandmarkTracker(detector).restore(state, None)
-    with pytest.raises(InputError, match="variance is missing or has another shape"):
+    with pytest.raises(InputError, match="variance is missing or has a different shape"):
         LandmarkTracker(detector).restore({**state, "variance": np.zeros(67)}, scenes[0].picture)
 
 
@@ -370,7 +370,7 @@ def test_a_state_survives_npz_and_a_wrong_one_is_refused(tmp_path):
     ("options", "message"),
     [
         ({"check_interval": 0}, "check_interval must be at least 1"),
-        ({"keep_confidence": 1.5}, "keep_confidence must lie in"),
+        ({"keep_confidence": 1.5}, "keep_confidence must be in"),
         ({"surprise": 0.0}, "surprise must be positive"),
     ],
 )

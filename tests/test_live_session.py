@@ -286,7 +286,7 @@ def test_deep_energies_is_refused(head, session):
 @pytest.mark.parametrize("name", ["gaze", "dense"])
 def test_a_detector_of_other_points_is_refused(name, head):
     session = LiveSession(head)
-    with pytest.raises(InputError, match="finds other points than this session fits, ibug68; open another"):
+    with pytest.raises(InputError, match="finds different points from those this session fits, ibug68; open another"):
         session.use(preset(name))
     assert session.config == session.base
 

@@ -267,7 +267,7 @@ def test_entries_on_top_of_each_other_are_told(tmp_path):
         # Many names for one storage: a small file may stand for more than there is memory.
         archive.filelist += [copy(listed[-1]) for _ in range(100)]
         archive._didModify = True
-    with pytest.raises(InputError, match="on top of each other"):
+    with pytest.raises(InputError, match="entries overlap"):
         read_checkpoint(path)
 
 

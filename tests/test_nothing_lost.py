@@ -142,7 +142,7 @@ class TestInputsAreNotWrittenOver:
             shutil.move(points, folder / "landmarks.csv")
             points.symlink_to(folder / "landmarks.csv")
         before = content(folder)
-        with pytest.raises(OutputError, match=r"landmarks.csv is an input.*would be written over; name another output"):
+        with pytest.raises(OutputError, match=r"landmarks.csv is an input.*would be overwritten; name another output"):
             quick(named, folder, **options)
         assert content(folder) == before
 
@@ -208,7 +208,7 @@ class TestInputsAreNotWrittenOver:
         before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         code, _, err = run(*arguments)
         assert code == 2
-        assert "would be written over; name another output" in err.replace("\n", " ")
+        assert "would be overwritten; name another output" in err.replace("\n", " ")
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
     @pytest.mark.parametrize("landmarks", [False, True])
@@ -231,7 +231,7 @@ class TestFinishedRuns:
     def test_a_finished_run_is_replaced_only_on_demand(self, quick, points, tmp_path):
         quick(points, tmp_path / "out")
         before = content(tmp_path / "out")
-        with pytest.raises(OutputError, match="already holds a finished run; name another folder, or replace it by"):
+        with pytest.raises(OutputError, match="already holds a finished run; name another folder, or replace it with"):
             quick(points, tmp_path / "out")
         assert content(tmp_path / "out") == before
         assert len(quick(points, tmp_path / "out", overwrite=True, frames=(0, 2)).track) == 3
@@ -253,7 +253,7 @@ class TestFinishedRuns:
         before = content(tmp_path / "out")
         again = quick(points, tmp_path / "out", resume=True)
         assert content(tmp_path / "out") == before
-        assert "finished before" in again.notes[0]
+        assert "already finished" in again.notes[0]
         assert again.summary["frames"] == FRAMES
         assert set(again.files) == set(whole.files)
 
@@ -311,7 +311,7 @@ class TestFinishedRuns:
             quick(points, tmp_path / "out", progress=interrupt)
         versions["jax"] = "0.8"
         with pytest.raises(
-            OutputError, match=r"run that was begun with other versions \(jax 0\.7, now 0\.8\); install"
+            OutputError, match=r"run that was started with other versions \(jax 0\.7, now 0\.8\); install"
         ):
             quick(points, tmp_path / "out", resume=True)
         with pytest.raises(OutputError, match="of another input or configuration"):
@@ -371,7 +371,7 @@ class TestFinishedRuns:
         assert code == 2
         assert "already holds a finished run" in err
         assert run("track", "points.csv", "--no-pictures", "--overwrite")[0] == 0
-        assert "nothing was left to do" in run("track", "points.csv", "--no-pictures", "--resume")[1]
+        assert "already finished" in run("track", "points.csv", "--no-pictures", "--resume")[1]
 
 
 class TestInputsThatChangeMeanwhile:
@@ -760,7 +760,9 @@ class TestTrainings:
 def test_a_recording_is_not_written_over_unasked(head, tmp_path):
     recording = Recording(performance(head), ())
     recording.save(tmp_path / "take")
-    with pytest.raises(OutputError, match="already holds a recording or a run; name another folder, or replace it by"):
+    with pytest.raises(
+        OutputError, match="already holds a recording or a run; name another folder, or replace it with"
+    ):
         recording.save(tmp_path / "take")
     (tmp_path / "clips").mkdir()
     (tmp_path / "clips" / "clip.mp4").write_text("mine")

@@ -204,7 +204,7 @@ def test_what_does_not_belong_to_one_picture_is_refused(portrait, points, tmp_pa
     with pytest.raises(InputError, match=r"none\.csv has no face in its frame"):
         workbench.fit(portrait, landmarks=tmp_path / "none.csv")
     for nowhere in (np.zeros((68, 2)), Landmarks2D(np.full((68, 2), 5.0), np.ones(68), points.image_size)):
-        with pytest.raises(InputError, match="All landmarks are at one place"):
+        with pytest.raises(InputError, match="All landmarks coincide"):
             workbench.fit(portrait, landmarks=nowhere)
     with pytest.raises(InputError, match="no neighbours in time"):
         workbench.fit(portrait, config=workbench.preset("joint").changed(infill={"method": "linear"}))

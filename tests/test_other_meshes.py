@@ -139,7 +139,8 @@ def test_what_is_no_mesh_is_told_and_the_rest_goes_on(meshes):
     torn, named, left_out, loose = problems
     assert "frame_140_0.mat cannot be read as a mesh" in torn
     assert (
-        "portrait.obj is of no picture here; its name should begin with one of frame_60, frame_140, frame_200" in named
+        "portrait.obj belongs to no picture here; its name should begin with one of frame_60, frame_140, frame_200"
+        in named
     )
     assert "PRNet has files that are not OBJ, MAT or NPY and were left out: frame_200_kpt.txt." in left_out
     assert "frame_60.obj belongs to no program; put it into a folder with the program's name." in loose

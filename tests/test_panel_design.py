@@ -406,7 +406,7 @@ def test_the_changes_follow_snapshots_and_saving(panel, tmp_path):
     panel.session.undo()
     panel.session.undo()
     panel.changes.show()
-    assert "saved settings are others" in panel.changes.value
+    assert "saved settings are different" in panel.changes.value
     panel.turn("weights.sigma_smooth", 0.6)
     assert panel.wait_idle(120)
     assert "1 of them not saved yet" in panel.changes.value

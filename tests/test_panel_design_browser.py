@@ -206,7 +206,7 @@ def test_no_text_of_the_pages_is_cut(small):
         tab(small, title)
         small.wait_at_rest(".fw-pages")
         if title == "Sweep":
-            setting = small.page.get_by_placeholder("search a setting to sweep")
+            setting = small.page.get_by_placeholder("search for a setting to sweep")
             setting.fill("steady head")
             setting.press("Enter")
             small.page.wait_for_function("(e) => e.value.includes('ω_τ')", arg=setting.element_handle())

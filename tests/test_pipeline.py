@@ -252,7 +252,7 @@ def test_frames_after_the_last_row_of_a_file_have_no_face(kept, start, pictures,
 def test_a_file_that_goes_on_after_the_last_picture_is_told(kept, pictures, tmp_path):
     source = open_source([pictures], preset("joint"), points_of(tmp_path / "many.csv", 8), keep_pictures=kept)
     assert len(list(source.observations(0, {}, False))) == 6
-    assert source.notes() == ["many.csv goes on beyond the last frame of six; its later rows are left out."]
+    assert source.notes() == ["many.csv has rows beyond the last frame of six; they are left out."]
 
 
 def test_a_part_of_a_clip_whose_header_does_not_count_ends_with_it(tmp_path):
@@ -438,7 +438,9 @@ def test_a_run_resumes_with_the_detector_that_ran_before_under_whatever_name(
     monkeypatch.setattr(NoFaces, "name", again)
     seen, config = [], preset("joint").changed(landmarks={"detector": again})
     options = {"pictures": False, "resume": True, "progress": lambda *a: seen.append(a[1])}
-    told = "an interrupted run that was begun with the detector network; go on with --detector network, name another"
+    told = (
+        "an interrupted run that was started with the detector network; continue with --detector network, name another"
+    )
     with nullcontext() if goes_on else pytest.raises(OutputError, match=told):
         track(tmp_path / "grey.mp4", tmp_path / "out", head, config, **options)
     assert seen[:1] == ([6] if goes_on else [])

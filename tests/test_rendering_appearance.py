@@ -172,7 +172,7 @@ def test_files_that_are_no_appearance_are_refused(scene, estimate, tmp_path):
         estimate.save(tmp_path / "actor.txt")
     replace(estimate, albedo=estimate.albedo[:-1], seen=estimate.seen[:-1]).save(tmp_path / "other.npz")
     replace(estimate, light=np.full_like(estimate.light, np.nan)).save(tmp_path / "dark.npz")
-    with pytest.raises(InputError, match="light holds something else than finite numbers"):
+    with pytest.raises(InputError, match="light holds something other than finite numbers"):
         load_appearance(tmp_path / "dark.npz", head)
     for part, value in {"albedo": np.float32(0.5), "light": estimate.light[:4], "seen": estimate.seen[:-1]}.items():
         np.savez(tmp_path / "shapes.npz", **{**vars(estimate), part: value})

@@ -198,7 +198,7 @@ def other_size(scene, *sizes):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda scene: (make_rig((0.0,)), [scene.records(0)]), "the rig has one"),
+        (lambda scene: (make_rig((0.0,)), [scene.records(0)]), "the rig has only one"),
         (lambda scene: (scene.rig, [scene.records(0)]), r"2 views \(middle, side\), got 1"),
         (lambda scene: (scene.rig, no_faces(scene)), "'middle' have no face"),
         (
@@ -309,8 +309,8 @@ def test_convert_turns_opencvs_files_into_a_rig(run, tmp_path):
     [
         (("show", "none.toml"), "does not exist"),
         (("show", "rig.toml", "--picture", "rig.jpg"), "drawn as .png"),
-        (("show", "rig.toml", "--size", "big"), "as 1280x720"),
-        (("show", "rig.toml", "--unit", "cm"), "says its unit"),
+        (("show", "rig.toml", "--size", "big"), "1280x720; got"),
+        (("show", "rig.toml", "--unit", "cm"), "gives its own unit"),
         (("check", "rig.toml", "middle.csv"), "2 views (middle, side), got 1"),
         (("convert", "rig.toml", "--out", "rig.yml"), "written as .toml"),
     ],

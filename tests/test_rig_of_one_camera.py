@@ -128,7 +128,7 @@ def test_a_diagnosis_refers_to_the_shot_through_an_edited_rig(head, frames, conf
     ],
 )
 def test_what_a_rig_replaces_is_not_swept(axis, config):
-    with pytest.raises(ConfigError, match="has no effect beside a rig, which holds the lens"):
+    with pytest.raises(ConfigError, match="has no effect with a rig, which holds the lens"):
         check_axis(read_axis(axis), config)
 
 

@@ -142,5 +142,5 @@ def test_a_view_that_cannot_judge_is_told(files, tmp_path):
     with pytest.raises(InputError, match="calibrated at 320 × 240"):
         seen("side", rig=str(tmp_path / "small.toml"))
     base = in_first_view(preset("joint"), files["rig"])
-    with pytest.raises(ConfigError, match="no effect beside a camera's matrix"):
+    with pytest.raises(ConfigError, match="no effect with a camera's matrix"):
         Sweep(sources_of([files["clip"]]), (read_axis("camera.fov_deg=30,40"),), base).checked()

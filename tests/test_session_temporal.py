@@ -151,7 +151,7 @@ def test_a_part_is_worked_on_alone(session):
     assert same([worked.after[0]], [worked.before[0]])
     assert not same([worked.after[1]], [worked.before[1]])
     with pytest.raises(
-        InputError, match="A part of this clip must lie within 0-23 and have at least two frames, got 5-5"
+        InputError, match="A part of this clip must be within 0-23 and have at least two frames, got 5-5"
     ):
         session.temporal.run((5, 5))
 

@@ -75,9 +75,9 @@ def test_settings_are_found_by_plain_words_symbols_and_names():
 
 
 def test_words_of_no_or_of_several_settings_are_told():
-    with pytest.raises(InputError, match="has the words 'moustache'"):
+    with pytest.raises(InputError, match="matches the words 'moustache'"):
         found_setting(SETTINGS, "moustache")
-    with pytest.raises(InputError, match="settings have the words 'brow': trust of right brow, trust of left brow"):
+    with pytest.raises(InputError, match="settings match the words 'brow': trust of right brow, trust of left brow"):
         found_setting(SETTINGS, "brow")
 
 

@@ -164,9 +164,9 @@ def test_an_unknown_setting_or_a_value_out_of_range_is_one_sentence(text, said):
         ("refinement.sweeps=1..3", "do not read 'refinement'"),
         (
             "preset=joint,dense",
-            "'dense' takes the landmarks of 'dense', .* here by 'auto'; start from it by --preset dense",
+            "'dense' takes the landmarks of 'dense', .* here by 'auto'; start from it with --preset dense",
         ),
-        ("camera.fov_deg=30,40", "no effect beside a camera's matrix"),
+        ("camera.fov_deg=30,40", "no effect with a camera's matrix"),
     ],
 )
 def test_a_setting_without_effect_is_said(text, said):

@@ -402,7 +402,7 @@ def test_a_face_model_that_changed_under_its_name_is_another_one(clips, tmp_path
 
 
 def test_a_worker_with_another_face_model_says_so():
-    with pytest.raises(InputError, match=r"head\.npz is another face model than the sweep began with"):
+    with pytest.raises(InputError, match=r"head\.npz is not the face model that the sweep started with"):
         solver_of(ModelSource(str(sample("head")), "the command's"))
 
 

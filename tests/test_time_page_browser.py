@@ -122,7 +122,7 @@ def pressed(page, name, where):
 
 def test_a_sweep_grows_into_a_curve_whose_points_are_told_and_taken(page, screenshots):
     tab(page, "Sweep")
-    setting = page.page.get_by_placeholder("search a setting to sweep")
+    setting = page.page.get_by_placeholder("search for a setting to sweep")
     setting.fill("steady head")
     setting.press("Enter")
     pressed(page, "run", ".fw-sweeps")
@@ -181,7 +181,7 @@ def test_what_a_clip_has_chosen_is_shown_and_taken_as_one_step(page, screenshots
     assert said["y"] + said["height"] <= whole["y"] + whole["height"]
     page.page.screenshot(path=screenshots / "tune-result.png")
     pressed(page, "take", ".fw-tune")
-    says(page, "Taken; undo brings back what was there.")
+    says(page, "Taken; undo brings back the previous settings.")
     assert page.kernel_value("(session.undo_label, session.config.weights.tau)") == "('tuned: jitter + error', 0.2)"
     page.ask_kernel("session.undo()")
 

@@ -488,7 +488,7 @@ class TestLoop:
 
     def test_a_folder_of_another_plan_is_refused(self, pool_folder, tmp_path):
         train(LandmarkTask(), pool_folder, tmp_path, PLAN, workers=0, report=quiet)
-        with pytest.raises(InputError, match=r"a training with other options \(--quick, --start, --device\); repeat"):
+        with pytest.raises(InputError, match=r"a training with other options \(--quick, --start, --device\); use"):
             train(LandmarkTask(), pool_folder, tmp_path, replace(PLAN, seed=2), workers=0, report=quiet)
 
     @pytest.mark.parametrize(

@@ -204,7 +204,7 @@ def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
     by_tau.searched("weights.tau=log(5,100)")
     for content in (by_tau.journal.read_text()[:-20], "hello\n", "[1]\n", "{}\n"):
         by_tau.journal.write_text(content)
-        with pytest.raises(InputError, match=r"a.study.log is not a stored search .*--overwrite in place of --resume"):
+        with pytest.raises(InputError, match=r"a.study.log is not a stored search .*--overwrite instead of --resume"):
             by_tau.searched("weights.tau=log(5,100)")
 
 
@@ -213,7 +213,7 @@ def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
     [
         ("landmarks.detector=dlib,network", "landmarks are found once per clip"),
         ("infill.longest=1..9", "has no effect here"),
-        ("preset=joint,dense", "start from it by --preset dense"),
+        ("preset=joint,dense", "start from it with --preset dense"),
     ],
 )
 def test_what_has_no_effect_is_not_searched(axis, said):
@@ -376,7 +376,7 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     out.write_text(found_before)
     other = [text if text != "jitter+error" else "error" for text in (*asked, *parts)]
     refused = CliRunner().invoke(app, [*other, "--resume"])
-    assert "--overwrite in place of --resume" in str(refused.exception)
+    assert "--overwrite instead of --resume" in str(refused.exception)
     more = CliRunner().invoke(app, [*asked[:-4], "--trials", "3", "--out", str(out), "--resume", *parts])
     assert more.exit_code == 0, more.output
     as_told = CliRunner().invoke(app, [*other, "--overwrite"])
@@ -388,7 +388,7 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     [
         ("observed", False, "nothing was tuned yet"),
         ("tuned", False, "nothing was tuned yet"),
-        ("tuned", True, "what was tuned so far is kept; --resume goes on with it"),
+        ("tuned", True, "what was tuned so far is kept; --resume continues it"),
     ],
 )
 def test_an_interruption_before_there_is_a_best_says_what_is_kept(run, clip, tmp_path, monkeypatch, cut, kept, said):

@@ -1,7 +1,7 @@
 """Face Energy Workbench: facial performance capture by optimisation.
 
 The names in `__init__.pyi` are the front door, loaded when they are first used; everything else is imported from its
-folder, as `workbench.energies`.
+folder, for example `workbench.energies`.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one sentence with what was expected, what came, and what to do."""
+"""Errors that a user can fix: one sentence that says what was expected, what was found, and what to do."""
 
 
 class WorkbenchError(Exception):

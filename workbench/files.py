@@ -175,7 +175,7 @@ def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     for path in outputs:
         if (place := _place(path)) is not None and place in read:
             same = "" if read[place] == path else f" ({shortened(read[place])})"
-            raise OutputError(f"{shortened(path)} is an input{same} and would be written over; name another output.")
+            raise OutputError(f"{shortened(path)} is an input{same} and would be overwritten; name another output.")
 
 
 def _with_files(path: Path) -> Iterator[Path]:

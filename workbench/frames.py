@@ -112,7 +112,7 @@ class Frames(Protocol):
 def open_frames(inputs: str | Path | Sequence[str | Path]) -> Frames:
     """Open one image, several images, a folder of images (in natural order: 2 before 10) or one video file.
 
-    The first frame is read at once, so that what cannot be used fails here and not in the middle of a run.
+    The first frame is read at once, so that unusable input fails here and not in the middle of a run.
     Raises `InputError` for missing, empty, unreadable or unsupported files and for folders without pictures.
     """
     if isinstance(inputs, str | Path):
@@ -158,7 +158,7 @@ def read_picture(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     """Read one image file as upright 8-bit RGB.
 
     Grey becomes three equal channels. Transparency is dropped, and the stored colours are kept. 16 bits are scaled to
-    8 (the high byte), and so is what lies between in .pgm and .ppm. The EXIF orientation is applied. A colour profile
+    8 (the high byte), and so are depths in between in .pgm and .ppm. The EXIF orientation is applied. A colour profile
     is not: the values are taken as sRGB. Raises `InputError` for a missing, empty or undecodable file, and beyond
     `MOST_PIXELS`.
     """
@@ -522,7 +522,7 @@ class VideoWriter:
 
 
 def write_picture(path: str | Path, picture: UInt8[np.ndarray, "..."], quality: int = 95) -> None:
-    """Write an RGB picture (h, w, 3) as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), whole or not at all."""
+    """Write an RGB picture (h, w, 3) as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), atomically."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".png", ".jpg", ".jpeg"):

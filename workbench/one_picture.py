@@ -126,7 +126,7 @@ def fit(
 
     `landmarks` (a scheme's points in pixels, or a landmark file) replace the detector. `model` is a face model or its
     file, the default head if left out; `config` a configuration, the name of a preset, or a TOML file. Of several faces
-    the largest counts, or the one at `landmarks.face` of the configuration. Detector and solver are kept for the
+    the largest is fitted, or the one at `landmarks.face` of the configuration. Detector and solver are kept for the
     next call with the same model, so load a model's file once. The numbers are those of `workbench track`. Raises
     `InputError` for a picture without a face, and for anything that cannot be used.
     """
@@ -181,9 +181,11 @@ def _config(config: Config | str | Path) -> Config:
         config = preset(config)
     config = config if isinstance(config, Config) else read_config(config)
     if wanted_steps(config):
-        raise InputError("One picture has no neighbours in time; leave infill and refinement out of the configuration.")
+        raise InputError(
+            "A single picture has no neighbours in time; leave infill and refinement out of the configuration."
+        )
     if config.camera.rig:
-        raise InputError("One picture has one view; leave the rig (camera.rig) out of the configuration.")
+        raise InputError("A single picture has one view; leave the rig (camera.rig) out of the configuration.")
     return config
 
 
@@ -233,7 +235,8 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if not landmarks.shows_face:
         raise InputError(
-            "All landmarks are at one place or have no confidence, which stands for no face; give those of a face."
+            "All landmarks coincide or have no confidence, as some programs write if they find no face; "
+            "give those of a face."
         )
     check_size(landmarks, size, "the picture")
     return landmarks

@@ -45,7 +45,7 @@ class FaceTracker:
             self.fitter.calibrate([self.fitter.neutral_observation(image_size)], self._calibration_frames())
 
     def configure(self, config: Config) -> None:
-        """Use another configuration from the next frame on. Another system starts afresh, in the same shot."""
+        """Use another configuration from the next frame on. Another system starts from scratch, in the same shot."""
         fitter = configured(self.fitter, plan_of(config, self.model.scheme))
         if fitter is not self.fitter:
             self._walk.last = None
@@ -113,7 +113,7 @@ class FaceTracker:
         return self.fitter.explain(observation, context_of(observation, shot, calibrated, last))
 
     def resume(self, context: FrameContext) -> None:
-        """Go on as if the next frame were the one of this context."""
+        """Continue as if the next frame were the one of this context."""
         self._pending, self._seen, self._calibrated = [], True, True
         self._walk.shot, self._walk.last = context.shot, context.last
         self._walk.calibrated = Calibrated(context.identity, {}, context.appearance)
@@ -142,7 +142,7 @@ class FaceTracker:
         return arrays
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Continue from a `state`."""
         self._start_shot()
         self._walk.shot, self._seen = int(arrays["shot"]), bool(arrays["seen"])
         appearance = None
@@ -154,7 +154,7 @@ class FaceTracker:
         self.continue_from(arrays)
 
     def continue_from(self, arrays: dict[str, np.ndarray]) -> None:
-        """Link the next frame to the last one of a `state`, whatever shot and identity are by now."""
+        """Link the next frame to the last one of a `state`, whatever the shot and identity are now."""
         if "pose" in arrays:
             parameters = FaceParameters(*(jnp.asarray(arrays[f"parameters_{k}"]) for k in range(6)))
             self._walk.last = Continuation(

@@ -25,10 +25,10 @@ CHARACTER_HELP = """Make the person in a tracked clip a character: the fitted fa
 
   workbench export out/talk --to talk.glb --character me
 
-Several frames are looked at from all sides; what none of them shows is taken from the most alike of \
+Several frames are looked at from all sides; what none of them shows is taken from the most similar of \
 the bundled skins. \
-Hair, eyes and clothes are those of the ready characters (data_samples/head/people/characters.toml); a style that \
-is not there is answered with the list of those that are.
+Hair, eyes and clothes are those of the ready characters (data_samples/head/people/characters.toml); for an unknown \
+style, the error lists those available.
 """
 NO_STYLE = "none"
 
@@ -38,7 +38,7 @@ def character(
     out: Annotated[Path, typer.Option(help="Folder to write: character.toml and the skin.")],
     hair: Annotated[str, typer.Option(help="A style such as short02 or long01, or none.")] = NO_STYLE,
     hair_color: Annotated[
-        str | None, typer.Option(help="Mean colour as R,G,B of 0 to 255; else as the clip shows it.")
+        str | None, typer.Option(help="Mean colour as R,G,B from 0 to 255 (default: as in the clip).")
     ] = None,
     eyes: Annotated[str, typer.Option(help="Colour of the irises, such as blue.")] = "brown",
     clothes: Annotated[str, typer.Option(help="A style such as shirt, or none.")] = "shirt",
@@ -49,7 +49,7 @@ def character(
     from workbench.pipeline.clip_character import Wardrobe, character_of_clip
 
     if str(out) in (PLAIN, *character_names()):
-        raise InputError(f"--character {out} is the character that comes along; name another folder.")
+        raise InputError(f"--character {out} is a bundled character; name another folder.")
     stored = track_file(run)
     track = workbench.Track.load(stored)
     check_not_inputs([out], [stored, *input_files(track.meta)])
@@ -73,5 +73,5 @@ def _color(text: str) -> tuple[float, float, float]:
     try:
         red, green, blue = (float(part) for part in parts)
     except ValueError:
-        raise InputError(f"A colour is three numbers from 0 to 255, as 82,62,46; got {text!r}.") from None
+        raise InputError(f"A colour is three numbers from 0 to 255, for example 82,62,46; got {text!r}.") from None
     return red, green, blue

@@ -31,7 +31,7 @@ GROUP_HELP = """Show, check and compare configurations: the TOML files that `tra
 
 [bold]Examples[/bold]
 
-  workbench config show --preset joint > mine.toml    begin a file
+  workbench config show --preset joint > mine.toml    start a file
 
   workbench config check mine.toml                    can it be run?
 
@@ -53,7 +53,7 @@ SHOW_HELP = f"""Print a whole configuration with a comment at each value; what a
 Presets: {", ".join(PRESETS)}.
 """
 
-CHECK_HELP = """Check configuration files. Exit code 0: all can be run; 2: some cannot, and why.
+CHECK_HELP = """Check configuration files. Exit code 0: all can be run; 2: some cannot, with the reasons.
 
 [bold]Example[/bold]
 
@@ -76,7 +76,7 @@ Presets: {", ".join(PRESETS)}.
 SCHEMA_HELP = """Print the JSON Schema of configuration files (draft 2020-12), for completion and checks in an editor.
 
 Editors with TOML support (Even Better TOML, taplo) find it by a first line "#:schema config.schema.json". \
-`workbench config check` knows more: names of landmark groups, and values that exclude each other.
+`workbench config check` also checks landmark group names and conflicting values.
 
 [bold]Example[/bold]
 
@@ -153,8 +153,8 @@ def _described(file: Path) -> str:
     config = read_config(file)
     for setting, name in absent_files(config).items():
         raise ConfigError(
-            f"{file}: {setting} names {shortened(repr(name))}, and there is no such file here; run it from the folder "
-            "where that is, or give the whole path."
+            f"{file}: {setting} names {shortened(repr(name))}, which does not exist here; run it from the folder that "
+            "holds it, or give the full path."
         )
     stored = toml_tables(file, ConfigError).get("version", VERSION)
     version = f"version {stored}" if stored == VERSION else f"version {stored}, migrated to version {VERSION}"

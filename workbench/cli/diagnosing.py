@@ -93,7 +93,7 @@ def _check_diagnosed(track: "workbench.Track") -> None:
     if track.meta.get("views"):
         raise InputError(
             "Runs of several cameras are not diagnosed frame by frame; track the first view's clip alone with a "
-            "FACE IT! preset, as by --preset joint, and diagnose that run."
+            "FACE IT! preset, for example --preset joint, and diagnose that run."
         )
     from workbench.session.diagnosing import check_diagnosed  # here: it imports JAX, and --help does without
 
@@ -126,7 +126,7 @@ def _print_diagnosis(record: dict) -> None:
     errors = f"error inner 51: {inner:.2f} %, all 68: {every:.2f} % of the eye distance"
     screen.console.print(f"[bold]frame {record['frame']}[/bold] of {record['frames']}, {errors}")
     if not record["pictures"]:
-        told = "from the landmarks alone; the run had no pictures, or they moved or changed"
+        told = "from the landmarks alone; the run had no pictures, or they were moved or changed"
         screen.console.print(f"[yellow]note:[/yellow] {told}")
     if record["flagged"]:
         screen.console.print(f"flagged: {escape(record['flagged'])}")

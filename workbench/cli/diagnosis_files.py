@@ -56,14 +56,14 @@ def reason_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def write_json(record: Mapping[str, Any], path: Path) -> None:
-    """Write a record, whole or not at all; numbers that are not finite become null."""
+    """Write a record, completely or not at all; numbers that are not finite become null."""
     text = json.dumps(_plain(record), indent=2, ensure_ascii=False, allow_nan=False)
     with atomic_path(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def write_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str], path: Path) -> None:
-    """Write rows with a header, whole or not at all."""
+    """Write rows with a header, completely or not at all."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, columns)
         writer.writeheader()

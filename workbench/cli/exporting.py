@@ -49,7 +49,7 @@ def export(
     run: Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")],
     to: Annotated[list[Path], typer.Option("--to", help="File to write; may be given several times.")],
     shot: Annotated[int | None, typer.Option(help="Only the frames of this shot, counted from 0.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second in place of the input's.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second instead of the input's.")] = None,
     character: Annotated[str | None, typer.Option(help=CHARACTER_HELP)] = None,
     mapping: Annotated[Path | None, typer.Option("--map", help="How its blendshapes follow from ours (TOML).")] = None,
     surface: Annotated[
@@ -105,7 +105,7 @@ def _check_targets(to: list[Path], character: str | None) -> None:
         place = place_of(path)
         other = taken.setdefault(place.absolute(), path)
         if other is not path:
-            raise InputError(f"{other} and {path} would both be written to {place}; give each a name of its own.")
+            raise InputError(f"{other} and {path} would both be written to {place}; give each its own name.")
         if format_of(path) in MESHES:
             check_free(place)
         if character is not None:
@@ -115,7 +115,7 @@ def _check_targets(to: list[Path], character: str | None) -> None:
 def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbench.FaceModel", list[str]]:
     """The model that a track was fitted with, from a file or the default head, and what is odd about it.
 
-    Raises `InputError` for a track of another model than the default head without its file.
+    Raises `InputError` for a track of a model other than the default head without its file.
     """
     from workbench.tracking.track_layout import scheme_of
 

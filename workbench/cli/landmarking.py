@@ -47,18 +47,18 @@ Drawn pictures of an earlier call are replaced only with --overwrite.
 """
 
 OUT = Path("landmarks.csv")
-"""The table of a call that names none."""
+"""The table's name if a call gives none."""
 DRAWN = "[0-9][0-9][0-9][0-9]*-*.jpg"
 """What the names of drawn pictures have in common: they begin with the frame's number."""
 OVERWRITE_HELP = f"Replace what --out does not name: {OUT} and drawn pictures."
 UNSURE = 0.5
 """Confidence below which a point is counted as unsure."""
 LISTED = 20
-"""So many pictures, and so many without a face, are named one by one."""
+"""Up to this many pictures, and as many without a face, are named one by one."""
 NAMED_IN_HINT = 3
-"""The next command is told for so many inputs at most."""
+"""The next command is shown for at most this many inputs."""
 RATE_WITHOUT_CLOCK = 25.0
-"""Frames per second of the drawn video where the input's header names none."""
+"""Frames per second of the drawn video if the input's header has none."""
 
 Progress = Callable[[str, int, int | None], None]
 

@@ -29,7 +29,7 @@ PATH is a FLAME file (.pkl, .npz), a Basel Face Model (.h5, .mat), GNM Head (.np
   workbench model show generic_model.pkl --picture check.png
 """
 LANDMARKS_HELP = "landmarks.toml, or for FLAME a published embedding; else the model's own, or fitted."
-UNIT_HELP = "Unit of the file (m, dm, cm, mm, um), for heads of no human size."
+UNIT_HELP = "Unit of the file (m, dm, cm, mm, um), for heads that are not of human size."
 
 model_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GROUP_HELP)
 
@@ -59,7 +59,7 @@ def show(
     screen.console.print(table)
     if picture is not None:
         workbench.frames.write_picture(picture, workbench.pictures.model_check_picture(model))
-        screen.console.print(f"{escape(str(picture))}  [dim]check that every point lies where it should[/dim]")
+        screen.console.print(f"{escape(str(picture))}  [dim]check that every point is where it should be[/dim]")
 
 
 def _rows(model) -> list[tuple[str, str]]:

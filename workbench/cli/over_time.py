@@ -44,8 +44,8 @@ def _choices(section: type, key: str) -> list[str]:
 
 
 NO_GAP = "every frame has a usable fit; --frames A-B names frames that look wrong."
-NO_NEIGHBOUR = "the frames named have no usable fit beside them to fill from; name fewer."
-TOO_LONG = "there is no gap, or none is short enough; try a larger --longest, or name frames by --frames A-B."
+NO_NEIGHBOUR = "the frames named have no usable fit next to them to fill from; name fewer."
+TOO_LONG = "there is no gap, or none is short enough; try a larger --longest, or name frames with --frames A-B."
 INFILL_METHODS, REFINEMENT_METHODS = _choices(InfillConfig, "method"), _choices(RefinementConfig, "method")
 
 Run = Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")]
@@ -70,7 +70,9 @@ def infill(
     method: Annotated[str, typer.Option(help=f"One of: {', '.join(INFILL_METHODS)}.")] = "flow",
     estimator: Estimator = None,
     renders: Renders = None,
-    longest: Annotated[int | None, typer.Option(min=1, help="Leave gaps of more frames as they are.")] = None,
+    longest: Annotated[
+        int | None, typer.Option(min=1, help="Leave gaps longer than this many frames unfilled.")
+    ] = None,
     model: Model = None,
     clip: Clip = None,
     view: View = None,

@@ -8,7 +8,7 @@ import typer
 import workbench
 from workbench.cli import screen
 
-REPRODUCE_HELP = """Remake figures and tables of the papers, into a page beside their own numbers.
+REPRODUCE_HELP = """Remake figures and tables of the papers on one page, next to the printed numbers.
 
 [bold]Examples[/bold]
 
@@ -33,7 +33,7 @@ def reproduce(
     clip: Annotated[Path | None, typer.Option(help="A video of a face, for clip-through-time.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Remake what has been made already.")] = False,
 ) -> None:
-    """Remake figures and tables of the papers, into a page beside their own numbers."""
+    """Remake figures and tables of the papers on one page, next to the printed numbers."""
     items = workbench.reproduction.choose(names or [])
     if listing:
         table = screen.table("item", "paper", "place", "what", whole=("item", "paper", "place"))

@@ -49,7 +49,7 @@ Exit code 0: nothing stands out; 1: something does; 2: the files cannot be compa
   workbench rig check rig.toml left.csv right.csv
 """
 
-CONVERT_HELP = """Write a rig as rig.toml, the first view being the reference.
+CONVERT_HELP = """Write a rig as rig.toml; the first view is the reference.
 
 [bold]Example[/bold]
 
@@ -58,7 +58,7 @@ CONVERT_HELP = """Write a rig as rig.toml, the first view being the reference.
 
 FilesArgument = Annotated[list[Path], typer.Argument(help="rig.toml, or OpenCV's file or files.")]
 UnitOption = Annotated[str | None, typer.Option(help="Unit of an OpenCV file's lengths: mm (default), cm or m.")]
-SizeOption = Annotated[str | None, typer.Option(help="Picture size where an OpenCV file has none, as 1280x720.")]
+SizeOption = Annotated[str | None, typer.Option(help="Picture size if an OpenCV file has none, for example 1280x720.")]
 
 rig_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GROUP_HELP)
 
@@ -104,7 +104,7 @@ def convert(
     unit: UnitOption = None,
     size: SizeOption = None,
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("rig.toml"),
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a rig as rig.toml."""
     rig = workbench.geometry.read_rig(files, unit, _image_size(size))
@@ -121,7 +121,7 @@ def _image_size(text: str | None) -> tuple[int, int] | None:
         return None
     parts = text.lower().replace("×", "x").split("x")
     if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
-        raise InputError(f"A picture size is width and height in pixels, as 1280x720; got {text!r}.")
+        raise InputError(f"A picture size is width and height in pixels, for example 1280x720; got {text!r}.")
     return int(parts[0]), int(parts[1])
 
 

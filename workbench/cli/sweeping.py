@@ -37,16 +37,18 @@ SET_HELP = "A setting and its values: log(A,B,N), lin(A,B,N), 1..30, or a list. 
 SAMPLE_HELP = "How points are chosen: grid, random:N or sobol:N."
 OBJECTIVE_HELP = "What is measured; may be given more than once (`--objective list` names all)."
 FRAMES_HELP = "Budget of frames in each clip, in short runs spread over it (default: all)."
-TRUTH_HELP = "What is known of a clip (.npz, a track, a landmark file); one for each clip, in order."
+TRUTH_HELP = "Ground truth for a clip (.npz, a track, a landmark file); one for each clip, in order."
 LANDMARKS_HELP = "Landmark file instead of a detector; one for each clip, in order."
 RIG_HELP = "Calibration of several cameras, for the objective second-view; the clip is its first view."
-VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, which only judges; one for each clip, in order."
-WORKERS_HELP = "Processes on this machine: a Dask cluster where it is installed, else a pool."
-SCHEDULER_HELP = "Address of a Dask scheduler, as tcp://host:8786; paths must be the same on its workers."
-BACKEND_HELP = "Who runs the processes: auto, pool or dask."
+VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, used only to judge the fits; one for each clip, in order."
+WORKERS_HELP = "Processes on this machine: a Dask cluster if Dask is installed, else a pool."
+SCHEDULER_HELP = "Address of a Dask scheduler, for example tcp://host:8786; paths must be the same on its workers."
+BACKEND_HELP = "What runs the processes: auto, pool or dask."
 OUT_HELP = "Folder or URL for the results (default: out/sweep-NAME)."
-RESUME_HELP = "Go on with an interrupted sweep, or add points to one: name all values, old and new."
-BEST_HELP = "Objective or weighted sum that best.toml minimises, as 'jitter + 0.5*error' (default: first objective)."
+RESUME_HELP = "Continue an interrupted sweep, or add points to one: name all values, old and new."
+BEST_HELP = (
+    "Objective or weighted sum that best.toml minimises, for example 'jitter + 0.5*error' (default: first objective)."
+)
 
 
 def sweep(

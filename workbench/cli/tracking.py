@@ -56,7 +56,7 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 """
 
 INPUT, FIT, DEEP, RESULTS = "Input", "Fit", "Deep Energies", "Results"
-"""Groups of the options."""
+"""Groups of options."""
 OUT_HELP = "Folder for the results (default: out/NAME)."
 STILLS_HELP = "Unrelated photos: nothing links one to the next."
 GIVEN_HELP = "Take the landmarks of a file (or a folder of .pts) instead of a detector's."
@@ -76,8 +76,8 @@ NETWORK_HELP = (
     "What looks at photo and render: ensemble, heat-maps, landmarks (68 points), dense (377), or a weights file."
 )
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
-WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster where it is installed, else a pool."
-SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, as tcp://host:8786."
+WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster if Dask is installed, else a pool."
+SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, for example tcp://host:8786."
 RIG_HELP = "Calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
@@ -86,7 +86,7 @@ NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
-CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or the file or folder of your own."
+CHARACTER_HELP = "Character that the 3D head is drawn as: a ready one such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = (
     "Pixel X,Y inside the face to follow, in the first frame that shows it; a photo without a face there has none."
@@ -183,7 +183,7 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         landmarks["face"] = wanted_face(face)
     if fov is not None:
         if rig is not None or base.camera.rig:
-            raise ConfigError("--fov has no effect beside a rig, whose file holds the lenses; leave one of them out.")
+            raise ConfigError("--fov has no effect with a rig, whose file holds the lenses; leave one of them out.")
         camera = {"fov_deg": fov, "fov_known": True, "matrix": None}
         if base.camera.matrix is not None:
             camera["distortion"] = []  # of the measured lens

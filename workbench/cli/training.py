@@ -27,7 +27,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train landmarks training --quick      everything at a tiny size, to see it work
 
   workbench train landmarks training --start landmarks.safetensors
-                                                  start from weights that are there
+                                                  start from existing weights
 
   workbench train finder training                 the face finder, from the same pool
 
@@ -58,7 +58,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {
 }
 """What each training leaves at its end, tables last. Its checkpoints are in a folder of its name."""
 WITHOUT_CHECKPOINTS = (Network.gain, Network.expressions)
-"""Learned in one go, which is repeated where it was interrupted."""
+"""Learned in one go; if it is interrupted, it starts over."""
 
 
 def train(
@@ -71,7 +71,8 @@ def train(
         Path | None, typer.Option(help="Weights to start from; without it, training starts from scratch.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Train again; old checkpoints and weights go, the pool stays.")
+        bool,
+        typer.Option("--overwrite", help="Train again; old checkpoints and weights are deleted, the pool is kept."),
     ] = False,
 ) -> None:
     """Train one of the bundled networks."""
@@ -92,7 +93,7 @@ def training_folder(folder: Path, network: str, overwrite: bool = False, start: 
     """Keep a folder for one training, which may be an interrupted one that goes on.
 
     To `overwrite` one removes its checkpoints and results, so that the new one can be interrupted, too. Raises
-    `OutputError` where `start`, the weights to start from, would be written over, where another training is at work,
+    `OutputError` where `start`, the weights to start from, would be overwritten, where another training is at work,
     and for a finished one or files of somebody else, unless told to `overwrite` them.
     """
     from workbench.pipeline.output_folder import check_no_results, locked

@@ -14,9 +14,10 @@ from workbench.config import differences, write_config
 from workbench.files import check_new, check_not_inputs
 
 TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or \
-by both: the search comes first, and the gradient goes on from its best.
+by both: search first, then gradients from its best result.
 
-A part of the clip is learned on, one chooses the step to stop at, and one that nothing was chosen by reports.
+One part of the clip is learned from, a second chooses the step to stop at, and a third, used for nothing else, \
+gives the reported error.
 
 [bold]Examples[/bold]
 
@@ -33,7 +34,7 @@ A part of the clip is learned on, one chooses the step to stop at, and one that 
 Ctrl-C keeps the best so far. The result is a configuration: workbench track --config talk-learned.toml
 """
 RIG_HELP = "Calibration of several cameras, for the objective second-view; the clip is its first view."
-VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, which only judges."
+VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, used only to judge the fits."
 INPUT, TUNING, RESULTS = "Input", "Tuning", "Results"
 
 
@@ -47,22 +48,24 @@ def tune(
         list[str] | None, typer.Option(help="Setting and values to search.", rich_help_panel=TUNING)
     ] = None,
     landmarks: Annotated[str, typer.Option(help="Landmark file instead of a detector.", rich_help_panel=INPUT)] = "",
-    truth: Annotated[str, typer.Option(help="What is known of the clip.", rich_help_panel=INPUT)] = "",
+    truth: Annotated[str, typer.Option(help="Ground truth for the clip.", rich_help_panel=INPUT)] = "",
     rig: Annotated[str, typer.Option(help=RIG_HELP, rich_help_panel=INPUT)] = "",
     view: Annotated[str | None, typer.Option(help=VIEW_HELP, rich_help_panel=INPUT)] = None,
     train: Annotated[
         str | None, typer.Option(help="Frames to learn on, FIRST:END; needs --held-out.", rich_help_panel=INPUT)
     ] = None,
-    watch: Annotated[str | None, typer.Option(help="Frames that choose the step.", rich_help_panel=INPUT)] = None,
-    held_out: Annotated[str | None, typer.Option(help="Frames that only report.", rich_help_panel=INPUT)] = None,
+    watch: Annotated[str | None, typer.Option(help="Frames used to choose the step.", rich_help_panel=INPUT)] = None,
+    held_out: Annotated[
+        str | None, typer.Option(help="Frames used only for the reported error.", rich_help_panel=INPUT)
+    ] = None,
     preset_name: Annotated[str | None, typer.Option("--preset", help="Preset to start from.")] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration to start from.")] = None,
     model: Annotated[Path | None, typer.Option(help="Face model (default: the default head).")] = None,
     steps: Annotated[int, typer.Option(min=1, max=1000, help="Steps of the gradient.", rich_help_panel=TUNING)] = 24,
     trials: Annotated[int, typer.Option(min=1, max=10_000, help="Trials of a search.", rich_help_panel=TUNING)] = 40,
     out: Annotated[Path | None, typer.Option(help="The result (default: NAME-learned.toml).")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted tuning.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result, and begin anew.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted tuning.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result, and start again.")] = False,
 ) -> None:
     """Tune settings on a clip."""
     learning, sweeps = workbench.learning, workbench.sweeps
@@ -76,7 +79,7 @@ def tune(
     if not (overwrite or resume):
         check_new(path)
         for stored in learning.kept_beside(path):
-            check_new(stored, "go on with that tuning (--resume), or begin anew (--overwrite)")
+            check_new(stored, "continue that tuning (--resume), or start again (--overwrite)")
     head = face_model(model)
     parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
     (source,) = sweeps.sources_of(
@@ -110,12 +113,12 @@ def tune(
 
 @contextmanager
 def _telling_interruptions(path: Path) -> Iterator[None]:
-    """Say what is left of a tuning that is interrupted where there is no best to write yet, and end the command."""
+    """Say what is left of a tuning that is interrupted before there is a best to write, and end the command."""
     try:
         yield
     except KeyboardInterrupt:
         begun = any(stored.exists() for stored in workbench.learning.kept_beside(path))
-        kept = "what was tuned so far is kept; --resume goes on with it"
+        kept = "what was tuned so far is kept; --resume continues it"
         screen.errors.print(f"[yellow]interrupted[/yellow]: {kept if begun else 'nothing was tuned yet'}")
         raise typer.Exit(130) from None
 
@@ -128,7 +131,7 @@ def _print(found, path: Path, learns: bool) -> None:
     screen.console.print(f"held-out change, with its 95 % interval: {found.change}")
     if found.search is not None and found.search.interrupted:
         unlearned = ", so nothing was learned yet" if learns else ""
-        screen.console.print(f"The search was interrupted{unlearned}; --resume goes on with it.")
+        screen.console.print(f"The search was interrupted{unlearned}; --resume continues it.")
     elif found.search is not None and found.search.config == found.base:
         screen.console.print("No trial was better than the start.")
     if found.learning is not None and found.learning.best and found.learning.best_step == 0:

@@ -23,7 +23,7 @@ CONVERT_HELP = """Convert a published checkpoint of 3D-FAN (face landmarks), Flo
 FILE is a state dict (.pth, .pth.tar) or a TorchScript archive (.zip, .pt) as published for the package \
 face-alignment, NVIDIA's FlowNet2_checkpoint.pth.tar, or torchvision's raft_small. It is read as data: nothing in it \
 is run, and PyTorch is not needed. The weights keep their licences; FlowNet2's are for research only. \
-3D-FAN and 2D-FAN have the same layers: only the name tells which you have.
+3D-FAN and 2D-FAN have the same layers: only the name tells which one you have.
 
 [bold]Examples[/bold]
 
@@ -50,7 +50,7 @@ def convert(
     out: Annotated[
         Path | None, typer.Option(help="File to write; named after the network by default: fan.safetensors, ...")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
     """Convert a published checkpoint to safetensors."""
     written = workbench.networks.convert_checkpoint(file, out, overwrite)

@@ -25,7 +25,7 @@ class Difference:
 
     @property
     def moved_points(self) -> str:
-        """Points that were moved, counted in words, because nobody reads 136 numbers; empty for other settings."""
+        """The number of moved points in words, because nobody reads 136 numbers; empty for other settings."""
         if not self.path.startswith(MOVED):
             return ""
         frame, points = self.path.removeprefix(MOVED).strip("."), self.after or self.before or {}

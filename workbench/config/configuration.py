@@ -149,13 +149,13 @@ class Config(Section):
         names = [stage.name for stage in self.stages]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"two stages are called {name!r}: give each a name of its own")
+                raise ValueError(f"two stages are called {name!r}: give each its own name")
         for stage in self.stages:
             foreign = [name for name in stage.free if name not in self.traits.blocks]
             if foreign:
-                raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
+                raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which needs system = 'deep-energies'")
         if self.system == "face-it" and self.camera.projection == "orthographic":
-            raise ValueError("an orthographic camera takes system = 'deep-energies'")
+            raise ValueError("an orthographic camera needs system = 'deep-energies'")
         if not any(stage.enabled and stage.when == "always" for stage in self.stages):
             raise ValueError("no enabled stage runs on every frame: enable one with when = 'always'")
         return self

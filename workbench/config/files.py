@@ -30,7 +30,7 @@ def read_config(path: str | Path) -> Config:
     """
     absent = f"The configuration {path} does not exist; `workbench track` writes one as config.toml."
     path = checked_file(path, "a configuration", ConfigError, absent, may_be_empty=True)
-    with reading(path, "a configuration", "begin with what `workbench config show` prints", ConfigError):
+    with reading(path, "a configuration", "start from what `workbench config show` prints", ConfigError):
         return parse_config(toml_tables(path, ConfigError), str(path))
 
 
@@ -60,11 +60,11 @@ def absent_files(config: Config) -> dict[str, str]:
 
 
 def config_of_track(meta: Mapping[str, Any]) -> Config | None:
-    """The configuration that a track was made with, by its metadata; None where it holds none.
+    """The configuration that a track was made with, by its metadata; None if it holds none.
 
     A character that is no longer there is the plain head, unless fits depend on it. Files are named where they are,
-    from whatever folder the run named them, and the detector is the one that ran, where "auto" stood for another one
-    then. Raises `ConfigError` like `parse_config`.
+    from whatever folder the run named them, and the detector is the one that ran, even if "auto" then stood for another
+    one. Raises `ConfigError` like `parse_config`.
     """
     stored, origin = meta.get("config"), "The track's configuration"
     if not stored:

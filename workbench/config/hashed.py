@@ -17,6 +17,6 @@ class Hashed(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """What a text says; one without a hash, as of a file edited by hand, is a name."""
+        """The entry in a text; one without a hash, for example in a file edited by hand, is a name."""
         name, between, sha256 = text.rpartition(_BETWEEN)
         return cls(name, sha256) if between else cls(text, "")

@@ -103,7 +103,8 @@ class ConstantsConfig(Section):
         100.0, description="E_τ and E_prior: millimetres equivalent to one radian; 1: as published."
     )
     weighted_edges: bool = Field(
-        True, description="E_2: an edge counts as the lesser weight of its ends; false: all of some weight alike."
+        True,
+        description="E_2: an edge counts with the smaller weight of its ends; false: all with a weight count alike.",
     )
 
 
@@ -146,11 +147,11 @@ class IdentityConfig(Section):
 
 
 class HeadConfig(Section):
-    """How the default head is drawn; fits depend on it with deep.appearance = "character" alone."""
+    """How the default head is drawn; fits depend on it only with deep.appearance = "character"."""
 
     character: str = Field(
         PLAIN,
-        description="Who the head in 3D is drawn as: plain, a ready character, or the file or folder of your own.",
+        description="Character that the 3D head is drawn as: plain, a ready one, or the file or folder of your own.",
     )
 
     @field_validator("character")
@@ -194,7 +195,7 @@ class LandmarksConfig(Section):
 
     @property
     def missed_face(self) -> str:
-        """What to say where a point names the face and none was found; empty where none does."""
+        """The message if a point names the face and none was found there; empty if no point does."""
         if self.face is None:
             return ""
         x, y = self.face
@@ -285,7 +286,9 @@ class FlowConfig(Section):
 class InfillConfig(Section):
     """Frames without a usable fit are filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
 
-    method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
+    method: Literal["none", "flow", "linear", "spline"] = Field(
+        "none", description="none leaves failed frames as they are."
+    )
     passes: Literal["meet", "back-and-forth"] = Field(
         "meet",
         description="Flow: meet fills a gap from both ends, blends, and solves again between both neighbours; "
@@ -355,9 +358,9 @@ class Provenance(Section):
     changed: list[str] = Field([], description="Differences from the preset that tuning started from.")
     before: dict[str, float] = Field({}, description="Metrics with that preset.")
     after: dict[str, float] = Field({}, description="Metrics with this configuration.")
-    objective: str | None = Field(None, description="What a tuning made least; before and after are its means by part.")
+    objective: str | None = Field(None, description="What a tuning minimised; before and after are its means by part.")
     learned: list[str] | None = Field(None, description="The settings that were free.")
-    parts: dict[str, str] | None = Field(None, description="Frames by what they were for, FIRST:END.")
+    parts: dict[str, str] | None = Field(None, description="Frames by what they were used for, FIRST:END.")
     change_percent: dict[str, float] | None = Field(
         None, description="Change of the objective on the held-out frames, with the 95 % interval of a bootstrap."
     )

@@ -86,10 +86,10 @@ class Clip:
 def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: float | None = None) -> Clip:
     """The track with its person; `model` is what it was fitted with, or what it was retargeted to.
 
-    A file holds one face. Where the shots of a track have faces of their own, all are played by the one with the most
-    frames, unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for
-    a track without a face, for a shot that it does not have, for another model than the track's and for a rate that
-    is not between 0 and 1000.
+    A file holds one face. If the shots of a track have different faces, the one with the most frames is used for all,
+    unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for a track
+    without a face, for a shot that it does not have, for a model other than the track's and for a rate that is not
+    between 0 and 1000.
     """
     check_model(track, model)
     check_rate(rate)
@@ -109,7 +109,9 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
         notes += note_on_rate(track)
     identity, others = main_identity(track)
     if others:
-        notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
+        notes.append(
+            f"the shots have {others + 1} face shapes; the one with the most frames is used for all, or use --shot"
+        )
     rate = float(rate or stored or RATE_OF_IMAGES)
     return Clip(track, model.personal(identity), rate, tuple(notes))
 
@@ -118,7 +120,7 @@ def note_on_rate(track: Track) -> tuple[str, ...]:
     """What a user should know of a track without a frame rate."""
     if track.meta.get("rate") or len(track) == 1:
         return ()
-    return (f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second",)
+    return (f"the input has no frame rate; frames are written at {RATE_OF_IMAGES:g} per second",)
 
 
 def without_failures(track: Track) -> Track:

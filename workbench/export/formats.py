@@ -49,13 +49,13 @@ def export_track(
     dressed: DressedHead | None = None,
     progress: Progress | None = None,
 ) -> Exported:
-    """Write a track as what the suffix of `path` says (`FORMATS`), whole or not at all.
+    """Write a track in the format that the suffix of `path` names (`FORMATS`), completely or not at all.
 
     `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames of
     one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. `dressed` shows the
     default head as a character: with that person's face in .glb and .usd, with the fitted one in .mp4 and .html. The
     meshes of .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be
-    exported, `ModelError` for a character on another model than the default head, `OutputError` for a file that cannot
+    exported, `ModelError` for a character on a model other than the default head, `OutputError` for a file that cannot
     be written or is an input, and `MissingDependencyError` where a format needs a package that is not installed.
     """
     path, kind, progress = Path(path), format_of(path), progress or silent

@@ -48,8 +48,8 @@ class ShapeMapping:
 def mapping_by_names(source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
     """Equal names mapped to each other, ARKit's in whatever spelling: `jawOpen`, `JawOpen`, `jaw_open`, `Face.JawOpen`.
 
-    `_L` and `_R` at the end are Left and Right. Components of statistical bases have numbers for names, which say
-    nothing of another basis: they are mapped to nothing. Raises `InputError` where no name is found in both.
+    `_L` and `_R` at the end are Left and Right. Components of statistical bases are named by numbers, which mean
+    nothing in another basis: they are not mapped. Raises `InputError` where no name is found in both.
     """
     matrix = np.zeros((len(source_names), len(target_names)))
     columns = {arkit_name(name) or name: column for column, name in reversed(list(enumerate(target_names)))}

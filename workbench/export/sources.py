@@ -18,7 +18,7 @@ def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     """The frames of the track's input, or of `pictures` in its place; of a part of a clip where it holds one.
 
     Of several cameras those of the rig's first view. Raises `InputError` where they are no longer, or others are, for
-    a track of landmarks alone, and, as it is read, for a frame of another size than the one that was tracked.
+    a track of landmarks alone, and, as it is read, for a frame of a different size from the one that was tracked.
     """
     if pictures is not None:
         return TrackedFrames(tracked_part(open_frames(pictures), track.meta), track, pictures)
@@ -59,7 +59,7 @@ def _inputs(meta: Mapping[str, Any]) -> list[Path]:
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
     """What a track was made from, by its metadata: files and folders that nothing may be written over.
 
-    Among them those of a copied folder that is worked in, beside the originals.
+    For a folder that was copied, both the copies and the originals.
     """
     named = filter(None, [*meta.get("inputs", []), meta.get("landmarks")])
     return [

@@ -25,11 +25,14 @@ SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 
 def format_of(path: str | Path) -> str:
-    """The key of `FORMATS` for a file name. Raises `InputError` for another suffix, and for nothing before it."""
+    """The key of `FORMATS` for a file name.
+
+    Raises `InputError` for any other suffix, and if there is no name before it.
+    """
     name = Path(path).name.lower()
     if name in ("", *SAME, *FORMATS):
         raise InputError(
-            f"A track is exported as {', '.join(FORMATS)}, with a name before it such as talk.glb; "
+            f"A track is exported as {', '.join(FORMATS)}, with a name in front, such as talk.glb; "
             f"got {name or 'no name'}: name the file."
         )
     for suffix in (".arkit.csv", *SAME, *FORMATS):

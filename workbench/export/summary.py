@@ -20,7 +20,7 @@ TIMES = ("detect", "landmarks", "solve")
 def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[str, Any]:
     """Frames, the detector, reprojection errors, times and the assumed camera of a run; `seconds` is its wall time.
 
-    `tracks` are consecutive pieces of one run. The detector is None where the landmarks came from a file. Errors
+    `tracks` are consecutive pieces of one run. The detector is None if the landmarks came from a file. Errors
     are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
     """
     errors, milliseconds, found, iterations, failure, shots, camera, detector = [], [], [], [], [], 0, {}, None
@@ -60,7 +60,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
 
 
 def write_summary(summary: dict[str, Any], path: str | Path) -> None:
-    """Write the summary as indented JSON, whole or not at all."""
+    """Write the summary as indented JSON, completely or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 

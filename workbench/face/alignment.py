@@ -9,9 +9,9 @@ from workbench.errors import ModelError
 def rigid_alignment(
     source: Float[np.ndarray, "p 3"], target: Float[np.ndarray, "p 3"]
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and translation with the least ‖R·source + t − target‖², det R = +1 also where a reflection fits better.
+    """Rotation and translation that minimise ‖R·source + t − target‖²; det R = +1 even if a reflection fits better.
 
-    Raises `ModelError` for fewer than three points or points on one line, which leave the rotation open.
+    Raises `ModelError` for fewer than three points or points on one line, which do not determine the rotation.
     """
     if source.shape != target.shape or len(source) < 3:
         raise ModelError(

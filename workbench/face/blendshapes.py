@@ -23,7 +23,7 @@ def targets_to_deltas(
 ) -> Float[np.ndarray, "n p 3"]:
     """Offsets b_k − b_0 of targets in vertex correspondence with the neutral.
 
-    Raises `ModelError` where the vertex counts differ.
+    Raises `ModelError` if the vertex counts differ.
     """
     if targets.shape[1:] != neutral.shape:
         raise ModelError(

@@ -88,7 +88,7 @@ def own_file(name: str | Path) -> Path | None:
 def find_character(name: str | Path) -> Character:
     """A ready character by name, or the first one of a TOML file, or of the one in a folder.
 
-    Raises `ModelError` for one that is not there.
+    Raises `ModelError` if there is none.
     """
     path = own_file(name)
     if path is None:
@@ -102,7 +102,7 @@ def find_character(name: str | Path) -> Character:
 
 
 def read_characters(path: Path) -> Mapping[str, Character]:
-    """The characters of a TOML file, one table each. Raises `ModelError` with what is wrong with the file."""
+    """The characters of a TOML file, one table each. Raises `ModelError` that says what is wrong with the file."""
     tables = toml_tables(checked_file(path, "characters", ModelError), ModelError)
     if not tables:
         raise ModelError(
@@ -127,7 +127,7 @@ def _character(path: Path, name: str, table: Any) -> Character:
         raise ModelError(f"{place}: {missing[0]} is missing; a character needs {', '.join(MUST)}.")
     for key in TEXTS:
         if not isinstance(table.get(key, ""), str):
-            raise ModelError(f"{place}: {key} needs a text, got {shortened(table[key])}.")
+            raise ModelError(f"{place}: {key} needs text, got {shortened(table[key])}.")
     colors = {key: _numbers(place, key, table[key], 3, *within) for key, within in COLORS.items() if key in table}
     identity = _numbers(place, "identity", table["identity"], None, -MOST_SIGMA, MOST_SIGMA)
     texts = {key: table[key] for key in TEXTS if key in table}

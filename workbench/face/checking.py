@@ -55,20 +55,20 @@ def check_face_model(path: object, model: FaceModel) -> FaceModel:
     if np.any(np.diff(model.contour_yaw_deg) <= 0.0):
         raise ModelError(f"{path}: the yaws of the jaw contour do not ascend; the file is damaged.")
     if np.any(np.diff(model.weight_range(), axis=1) < 0.0):
-        raise ModelError(f"{path}: a blendshape's largest weight is below its least; the file is damaged.")
+        raise ModelError(f"{path}: a blendshape's largest weight is below its smallest; the file is damaged.")
     return model
 
 
 def check_names(path: object, label: str, names: Sequence[object]) -> None:
     """Raise `ModelError` for names that are not texts, empty, or given twice."""
     if isinstance(names, str):
-        raise ModelError(f"{path}: {label} is one text, expected a list of names; the file is damaged.")
+        raise ModelError(f"{path}: {label} is a single text, expected a list of names; the file is damaged.")
     for name in names:
         if not isinstance(name, str) or not name:
             raise ModelError(f"{path}: {label} holds {shortened(name)!r}, expected names; the file is damaged.")
     if len(set(names)) < len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
-        raise ModelError(f"{path}: {label} holds {shortened(twice)!r} twice; give every one a name of its own.")
+        raise ModelError(f"{path}: {label} holds {shortened(twice)!r} twice; give each its own name.")
 
 
 def check_numbers(path: object, label: str, array: object, shape: Shape, largest: float | int = FARTHEST) -> None:

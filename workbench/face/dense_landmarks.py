@@ -20,9 +20,9 @@ _PUPIL_RING = 8
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """The model with the landmarks of this scheme; the jaw joint keeps its unit.
 
-    The default head without the eyes' units, which none of the 68 shows, has them in a scheme with pupils.
-    The dense points are vertices of the default head. On another mesh they are where that head's are when it is laid on
-    the surface. Raises `ModelError` where it does not fit there.
+    The default head without the eyes' units, which none of the 68 shows, has them in a scheme with pupils. The dense
+    points are vertices of the default head. On another mesh they are placed by laying the default head on its surface.
+    Raises `ModelError` if it does not fit.
     """
     if scheme is model.scheme:
         return model
@@ -69,8 +69,8 @@ def _carried_over(model: FaceModel) -> Embedding:
     if not fit.lies_on_it(own / usual):
         raise ModelError(
             f"The landmarks of the scheme {DENSE.name!r} could not be placed on {model.name!r}: the default head does "
-            f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, {fit.distance_mm:.1f} mm away in "
-            "the middle); use its 68 (another landmarks.detector)."
+            f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, median distance "
+            f"{fit.distance_mm:.1f} mm); use its 68 (another landmarks.detector)."
         )
     return Embedding(fit.landmarks.vertices[POINT_COUNT:], fit.landmarks.barycentric[POINT_COUNT:])
 

@@ -127,13 +127,13 @@ class DressedHead:
 def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
     """The default head as a character: a ready one by name, or a TOML file of your own or the folder with it.
 
-    With `gaze`, the eyes' units are there too. Raises `ModelError` for a character, style or skin that is not there.
+    With `gaze`, the eyes' units are there too. Raises `ModelError` for an unknown character, style or skin.
     """
     return dress(find_character(name), gaze)
 
 
 def dress(character: Character, gaze: bool = True) -> DressedHead:
-    """The default head as this character. Raises `ModelError` for a style or skin that is not there."""
+    """The default head as this character. Raises `ModelError` for an unknown style or skin."""
     model = load_default_head(gaze=gaze)
     if len(character.identity) != len(model.identity_deltas):
         raise ModelError(
@@ -168,7 +168,7 @@ def dress(character: Character, gaze: bool = True) -> DressedHead:
 
 
 def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
-    """The default head as a character, None for `plain`; raises `ModelError` where the model is another one."""
+    """The default head as a character, None for `plain`; raises `ModelError` if the model is another one."""
     if character == PLAIN:
         return None
     check_wears_characters(model)
@@ -176,7 +176,7 @@ def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
 
 
 def check_wears_characters(model: FaceModel) -> None:
-    """Raise `ModelError` for another model than the default head."""
+    """Raise `ModelError` for a model other than the default head."""
     if model.name != load_default_head().name:
         raise ModelError(
             f"Characters are for the default head, this is the model {model.name}; leave the character at {PLAIN!r}."
@@ -184,12 +184,12 @@ def check_wears_characters(model: FaceModel) -> None:
 
 
 def skin_names() -> tuple[str, ...]:
-    """Names of the skins, of which each is a picture in the head's UVs."""
+    """Names of the skins; each is a picture in the head's UVs."""
     return tuple(sorted(path.stem for path in (sample("characters").parent / "skins").glob("*.webp")))
 
 
 def read_skin(name: str) -> UInt8[np.ndarray, "h w 3"]:
-    """A skin by name, RGB. Raises `ModelError` for one that is not there."""
+    """A skin by name, RGB. Raises `ModelError` if there is none."""
     return read_picture(_picture_path("skins", name))
 
 

@@ -35,7 +35,7 @@ class JawJoint(NamedTuple):
 
 
 def jaw_joint(model: FaceModel) -> JawJoint:
-    """The jaw joint of a face model; one that moves nothing where the model has none."""
+    """The jaw joint of a face model; one that moves nothing if the model has none."""
     count, identities = len(model.neutral), len(model.identity_deltas)
     if "jaw" not in model.joints:
         still = np.zeros(count), np.zeros(3), np.zeros((identities, 3)), np.zeros((count, 3))
@@ -107,7 +107,7 @@ def weights_with_jaw(
 ) -> Float[np.ndarray, "*n k"]:
     """The expression with the joint's motion added as jaw blendshapes, for formats and characters without a joint.
 
-    `unit` is that of the model that the joint belongs to. Turns about other axes than x have no blendshape and are
+    `unit` is that of the model that the joint belongs to. Turns about axes other than x have no blendshape and are
     lost.
     """
     weights, counted = np.array(expression, float), in_blendshapes(jaw, unit)

@@ -39,11 +39,11 @@ class JawUnit:
 
     @property
     def relative(self) -> Float[np.ndarray, "6"]:
-        """The same in parts of `USUAL_JAW`."""
+        """The same as a fraction of `USUAL_JAW`."""
         return self.vector / USUAL_JAW.vector
 
     def scaled(self, size: float) -> "JawUnit":
-        """The unit of a head that is `size` times as large and otherwise the same: angles know no size."""
+        """The unit of a head that is `size` times as large and otherwise the same: angles do not depend on size."""
         return JawUnit(self.open_deg, size * self.sideways_mm, size * self.forward_mm)
 
 
@@ -60,7 +60,7 @@ def fitted_jaw_unit(
     """The unit with which the joint moves some points most nearly as the jaw blendshapes do (least squares).
 
     The points hang on the joint by `weights` w, `arms` are w times their offsets from its pivot, and `shapes` their
-    offsets under `JAW_SHAPES`; head frame, millimetres. `usual` stands in for what no shape tells.
+    offsets under `JAW_SHAPES`; head frame, millimetres. `usual` replaces what no shape determines.
     """
     sideways = [
         sign * _shift(weights, shapes[name][:, 0])

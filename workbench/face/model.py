@@ -103,11 +103,11 @@ class FaceModel:
 
     @property
     def has_identities(self) -> bool:
-        """Whether the face comes in other shapes than its own: whether there is an identity to calibrate."""
+        """Whether the model has an identity basis: whether there is an identity to calibrate."""
         return len(self.identity_deltas) > 0
 
     def in_regions(self, names: Iterable[str]) -> Bool[np.ndarray, "v"]:
-        """Which vertices lie in one of these regions, as far as the model has them."""
+        """Which vertices are in one of these regions, as far as the model has them."""
         inside = np.zeros(len(self.neutral), bool)
         for name in names:
             inside[self.regions.get(name, np.zeros(0, int))] = True
@@ -133,7 +133,8 @@ class FaceModel:
     def jaw_unit(self) -> JawUnit:
         """What the jaw blendshapes at weight 1 move the jaw joint by, fitted to their motion of the landmarks.
 
-        What they do not tell, and all of a model without a jaw joint, is the default head's in proportion to the size.
+        What they do not determine, and everything for a model without a jaw joint, is the default head's, scaled to
+        size.
         """
         if self.fixed_jaw_unit is not None:
             return self.fixed_jaw_unit
@@ -152,7 +153,7 @@ class FaceModel:
 
     @property
     def jaw_range(self) -> Float[np.ndarray, "2 6"]:
-        """Least and most that the jaw joint moves: radians about x, y and z, then millimetres."""
+        """Minimum and maximum motion of the jaw joint: radians about x, y and z, then millimetres."""
         return JAW_RANGE * self.jaw_unit.relative
 
     def with_expressions(self, names: tuple[str, ...]) -> "FaceModel":
@@ -174,7 +175,7 @@ class FaceModel:
         )
 
     def weight_range(self) -> Float[np.ndarray, "k 2"]:
-        """Least and largest weight of each blendshape."""
+        """Smallest and largest weight of each blendshape."""
         if self.expression_range is not None:
             return self.expression_range
         return np.tile([0.0, 1.0], (len(self.expression_names), 1))

@@ -15,13 +15,13 @@ from workbench.face.model import Embedding, FaceModel
 def read_obj_folder(
     folder: str | Path, neutral: str = "neutral", align_on: Int[np.ndarray, "m"] | None = None
 ) -> FaceModel:
-    """Face model of `folder`: `neutral.obj`, one OBJ a blendshape (named by its file) and `landmarks.toml`.
+    """Face model of `folder`: `neutral.obj`, one OBJ per blendshape (named by its file) and `landmarks.toml`.
 
     The OBJ files share one vertex order and one list of faces; lengths are millimetres in the head frame (+x image
     right, +y down, +z away from the camera): nothing is recognised, fitted or renamed, as `load_face_model` does.
     `landmarks.toml` holds `vertices`, 68 vertex numbers counted from 0, or 68 triples of them with `barycentric`. With
     `align_on`, targets are first aligned rigidly to the neutral on these vertices (FACE IT! Eq. 4). Raises `ModelError`
-    where a part is missing or out of correspondence.
+    if a part is missing or out of correspondence.
     """
     folder = Path(folder)
     raw = read_obj_targets(folder, neutral)

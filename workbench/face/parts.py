@@ -65,7 +65,7 @@ class PartStore:
     """Styles of each kind."""
 
     def read(self, kind: str, style: str, vertex_count: int) -> Part:
-        """One part for a head of so many vertices. Raises `ModelError` for one that is not there, and for damage."""
+        """One part for a head with this many vertices. Raises `ModelError` if there is none, and for damage."""
         if style not in self.styles.get(kind, ()):
             known = ", ".join(self.styles.get(kind, ())) or "none"
             raise ModelError(f"There is no style {style!r} for {kind}; the styles are {known}.")

@@ -144,7 +144,7 @@ def surface_points(
 ) -> SurfacePoints:
     """The points at these barycentric coordinates of these triangles of a face.
 
-    Raises `InputError` for triangles that the face does not have, as the −1 of pixels that show no face.
+    Raises `InputError` for triangles that the face does not have, such as the −1 of pixels that show no face.
     """
     triangles = np.asarray(model.topology.triangles)
     triangle = np.asarray(triangle)

@@ -127,7 +127,7 @@ def _network_of(weights: Weights) -> FlowModel:
     if weights.architecture == raft.NAME or raft.looks_like_raft(weights):
         return raft.raft_from(weights)
     raise ModelError(
-        f"{weights.origin} should hold a flow network, got {weights.architecture or 'one that is not known'}: supply "
+        f"{weights.origin} should hold a flow network, got {weights.architecture or 'an unknown one'}: supply "
         "the workbench's own, NVIDIA's FlowNet2_checkpoint.pth.tar or torchvision's raft_small, converted or not"
     )
 

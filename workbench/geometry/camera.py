@@ -55,7 +55,8 @@ def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.nd
     below = np.array([*matrix[2], matrix[1, 0]])
     if not np.allclose(below, [0.0, 0.0, 1.0, 0.0], rtol=0.0, atol=1e-6):
         raise InputError(
-            "A camera matrix holds 0 below its diagonal, and its last row is 0 0 1; transpose one of MATLAB, which has "
+            "A camera matrix holds 0 below its diagonal, and its last row is 0 0 1; transpose a matrix from MATLAB, "
+            "which has "
             "the principal point there."
         )
     return Camera(matrix[[0, 1], [0, 1]], matrix[:2, 2], _coefficients(distortion))

@@ -99,7 +99,7 @@ class Rig:
             raise InputError("A rig has at least one view, got none.")
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
-            raise InputError(f"The name {twice[0]!r} stands for two views of the rig; give each its own.")
+            raise InputError(f"The name {twice[0]!r} is used for two views of the rig; give each its own.")
         _check_baselines(self.views)
         if len(self.views) > 1:
             _check_shared_point(self)
@@ -258,7 +258,7 @@ def _check_baselines(views: tuple[View, ...]) -> None:
         baseline = float(np.linalg.norm(a.position_world_mm - b.position_world_mm))
         pair = f"views {a.name!r} and {b.name!r}"
         if baseline < 1e-6:
-            raise InputError(f"The cameras of {pair} stand in one place; give each view its own translation.")
+            raise InputError(f"The cameras of {pair} are in the same place; give each view its own translation.")
         if not LEAST_BASELINE_MM <= baseline <= MOST_BASELINE_MM:
             raise InputError(
                 f"The cameras of {pair} are {baseline:.4g} mm apart, expected {LEAST_BASELINE_MM:g} to "
@@ -270,7 +270,7 @@ def _check_shared_point(rig: Rig) -> None:
     if _largest_shared_ball(rig) < LEAST_SHARED_MM:
         raise InputError(
             f"The pictures of {', '.join(rig.names)} share no point in front of the cameras; "
-            'perhaps the poses are those of the cameras in the world: say pose = "world_from_view".'
+            'perhaps the poses are those of the cameras in the world: set pose = "world_from_view".'
         )
 
 

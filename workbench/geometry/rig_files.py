@@ -73,8 +73,8 @@ def read_rig(
 ) -> Rig:
     """The rig of a `rig.toml`, or of one or several OpenCV files (see the module), the reference first.
 
-    `unit` (mm, cm, m) and `image_size` (width, height) say what OpenCV files do not; millimetres are assumed for want
-    of a unit. Raises `InputError` that names the file and what to mend, also for a rig that cannot be (see `Rig`).
+    `unit` (mm, cm, m) and `image_size` (width, height) give what OpenCV files leave out; without a unit, millimetres
+    are assumed. Raises `InputError` that names the file and what to correct, also for an impossible rig (see `Rig`).
     """
     paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:
@@ -89,13 +89,13 @@ def read_rig(
         if len(paths) > 1:
             raise InputError(f"A rig.toml holds all views, got {len(paths)} files; name it alone.")
         if unit is not None or image_size is not None:
-            raise InputError(f"{paths[0]} says its unit and picture sizes itself; change them there.")
+            raise InputError(f"{paths[0]} gives its own unit and picture sizes; change them there.")
     with reading(" and ".join(map(str, paths)), "a rig", "calibrate again or compare with `workbench rig --help`"):
         return _read_toml(paths[0]) if toml else _read_opencv(paths, unit, image_size)
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write a rig as `rig.toml` (see the module), whole or not at all; reading it gives the same numbers.
+    """Write a rig as `rig.toml` (see the module), completely or not at all; reading it gives the same numbers.
 
     Raises `InputError` for another suffix.
     """
@@ -176,7 +176,7 @@ def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int,
     files = [read_opencv_file(path, _WANTED) for path in paths]
     for path, file in zip(paths, files, strict=True):
         if file.get("fisheye_model"):
-            raise InputError(f"{path} is of OpenCV's fisheye model; calibrate with the ordinary or the rational one.")
+            raise InputError(f"{path} uses OpenCV's fisheye model; calibrate with the ordinary or the rational one.")
     merged: dict[str, Any] = {}
     for file in files:
         merged |= file
@@ -192,7 +192,7 @@ def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int,
         fields |= {"rotation": _named(file, ROTATION_NAMES), "translation": _named(file, TRANSLATION_NAMES)}
         for key, names in (("rotation", "rvec or R"), ("translation", "tvec or T")):
             if fields[key] is None:
-                raise InputError(f"{path} does not say where its camera stands: no {key} ({names}) is in it.")
+                raise InputError(f"{path} does not say where its camera is: no {key} ({names}) is in it.")
         size = _opencv_size(path, file, image_size)
         mm, pose = _opencv_unit(path, file, unit), _pose(path, file.get("pose", POSES[0]))
         views.append(_view(str(path), str(file.get("name", name)), size, fields, mm, pose))
@@ -210,8 +210,8 @@ def _check_one_pair(where: str, files: Sequence[Mapping[str, Any]]) -> None:
     matrices = sum(_named(file, MATRIX_NAMES, "1") is not None for file in files)
     if matrices > 1 or sum(file.get("R") is not None for file in files) > 1:
         raise InputError(
-            f"{where} are of several pairs of cameras; name those of one pair, or for three cameras and more one file "
-            "for each, with its matrix and where it stands."
+            f"{where} belong to several pairs of cameras; name those of one pair, or for three or more cameras one "
+            "file each, with its matrix and pose."
         )
 
 
@@ -229,7 +229,7 @@ def _stereo(where: str, file: Mapping[str, Any], unit: str | None, image_size: t
         matrix = _named(file, MATRIX_NAMES, number)
         if matrix is None:
             raise InputError(
-                f"{where} holds no matrix of camera {number} (K{number} or M{number}); write both cameras."
+                f"{where} holds no matrix for camera {number} (K{number} or M{number}); write both cameras."
             )
         fields = {"matrix": matrix, "distortion": _named(file, DISTORTION_NAMES, number)}
         fields |= {"rotation": turned, "translation": moved}
@@ -256,7 +256,9 @@ def _opencv_size(where: str | Path, file: Mapping[str, Any], image_size: tuple[i
     if stored is None and "image_width" in file and "image_height" in file:
         stored = [file["image_width"], file["image_height"]]
     if stored is None and image_size is None:
-        raise InputError(f"{where} names no picture size (image_width, image_height); say it with --size, as 1280x720.")
+        raise InputError(
+            f"{where} names no picture size (image_width, image_height); give it with --size, for example 1280x720."
+        )
     size = _image_size(str(where), stored if stored is not None else image_size)
     if image_size is not None and size != image_size:
         told, asked = (f"{width} × {height}" for width, height in (size, image_size))

@@ -140,7 +140,7 @@ def _lens_warnings(view: ViewReport) -> list[str]:
         found.append(f"focal lengths of {fx:.0f} and {fy:.0f} px make pixels that are not square.")
     offset = float(np.hypot(*view.principal_offset_px))
     if offset > CENTRE_PART * diagonal:
-        found.append(f"the principal point is {offset:.0f} px off the middle: were the pictures cut or scaled?")
+        found.append(f"the principal point is {offset:.0f} px off the middle: were the pictures cropped or scaled?")
     moved = view.corner_distortion_px
     if np.isnan(moved):
         found.append("the distortion folds over inside the picture: calibrate with fewer coefficients.")
@@ -152,11 +152,11 @@ def _lens_warnings(view: ViewReport) -> list[str]:
 def _place_warnings(reference: ViewReport, view: ViewReport) -> list[str]:
     found = []
     if abs(view.roll_deg) > ROLL_DEG:
-        found.append(f"pictures turned by {view.roll_deg:.0f}° against each other: detectors need upright faces.")
+        found.append(f"pictures turned by {view.roll_deg:.0f}° relative to each other: detectors need upright faces.")
     if view.angle_deg > MOST_ANGLE_DEG:
         found.append(f"{view.angle_deg:.0f}° between the axes: hardly any landmark is seen by both.")
     elif np.isinf(view.meeting_mm):
-        found.append(f"parallel axes: only the baseline of {view.baseline_mm:.0f} mm tells depth.")
+        found.append(f"parallel axes: only the baseline of {view.baseline_mm:.0f} mm gives depth.")
     elif view.angle_deg < LEAST_ANGLE_DEG:
         found.append(f"{view.angle_deg:.1f}° between the axes leave depth uncertain.")
     return [f"{reference.name} and {view.name}: {text}" for text in found]
@@ -174,5 +174,5 @@ def _meeting_warnings(rig: Rig, meeting: Float[np.ndarray, "3"]) -> list[str]:
                 f"{name}: the axes meet {depth:.0f} mm in front of it, no place for a face: is the unit right?"
             )
         elif aside > GAP_PART * depth:
-            found.append(f"{name}: its axis passes {aside:.0f} mm beside the place where the axes meet.")
+            found.append(f"{name}: its axis misses the point where the axes meet by {aside:.0f} mm.")
     return found

@@ -45,7 +45,7 @@ class LandmarkDetector(Protocol):
         ...
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
-        """The landmarks of the face in `box`, as well as this detector can on one picture."""
+        """The landmarks of the face in `box`, as accurately as this detector can on one picture."""
         ...
 
     def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> Landmarks2D:

@@ -38,7 +38,7 @@ def make_detector(name: str, face_landmarker: str | Path | None = None) -> Landm
     """Build a detector by name, or the one that "auto" stands for.
 
     `face_landmarker` is the path of the model file that the detector mediapipe needs. Raises `ConfigError` for an
-    unknown name or model file, and `MissingDependencyError` without the package that it needs.
+    unknown name or model file, and `MissingDependencyError` if the package that it needs is missing.
     """
     name = chosen_detector(name)
     if name == MediapipeDetector.name:

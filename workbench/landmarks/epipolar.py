@@ -113,7 +113,7 @@ def check_rig(rig: Rig, clips: Sequence[Iterable[LandmarkRecord]]) -> RigCheck:
     views that never see the face together.
     """
     if len(rig) < 2:
-        raise InputError("A check compares views, and the rig has one; nothing contradicts a single camera.")
+        raise InputError("A check compares views, but the rig has only one; a single camera cannot be checked.")
     if len(clips) != len(rig):
         raise InputError(
             f"The rig has {len(rig)} views ({', '.join(rig.names)}), got {len(clips)} landmark clips; "
@@ -124,8 +124,7 @@ def check_rig(rig: Rig, clips: Sequence[Iterable[LandmarkRecord]]) -> RigCheck:
     together = [(a, b) for a, b in combinations(range(len(rig)), 2) if points[a].keys() & points[b].keys()]
     if not together:
         raise InputError(
-            f"No two of the views {', '.join(rig.names)} have a face in the same frame; "
-            "frames belong together by their numbers."
+            f"No two of the views {', '.join(rig.names)} have a face in the same frame; frames are matched by number."
         )
     pairs = tuple(_pair_check(rig, a, b, points[a], points[b]) for a, b in together)
     stacked = _stacked(points)
@@ -270,7 +269,7 @@ def _explanations(rig: Rig, pairs: Sequence[PairCheck], points: Sequence[Clip]) 
             found.append(f"The landmarks of {rig.names[a]} and {rig.names[b]} fit better swapped: are they in order?")
     turned = _turned_round(rig)
     if turned is not None and better(_fit(turned, points)):
-        found.append('The poses fit better turned round: are they world_from_view (pose = "world_from_view")?')
+        found.append('The poses fit better inverted: are they world_from_view (pose = "world_from_view")?')
     return found
 
 
@@ -323,16 +322,14 @@ def _place_warnings(rig: Rig, places: Float[np.ndarray, "n 3"], eye_distance: fl
     low, high = EYE_DISTANCE_MM
     if not low <= eye_distance <= high:
         found.append(
-            f"The eyes' outer corners come out {eye_distance:.3g} mm apart, adults have {low:g} to {high:g}: "
+            f"The eyes' outer corners come out {eye_distance:.3g} mm apart; adults have {low:g} to {high:g}: "
             "is the rig's unit right?"
         )
     seen = places[np.isfinite(places).all(axis=1)]
     for index, name in enumerate(rig.names):
         in_front = float((to_view(seen, rig.placed_view(index))[:, 2] > 0).mean()) if len(seen) else 1.0
         if in_front < IN_FRONT:
-            found.append(
-                f"{100 * (1 - in_front):.0f} % of the points come out behind {name}: is its pose turned round?"
-            )
+            found.append(f"{100 * (1 - in_front):.0f} % of the points come out behind {name}: is its pose inverted?")
     return found
 
 

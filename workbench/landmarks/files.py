@@ -38,10 +38,10 @@ def is_landmark_file(path: Path) -> bool:
 def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = None) -> Iterator[LandmarkRecord]:
     """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 
-    `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for one .pts it
-    may be left out: the smallest size that contains all points stands in. Points that all coincide, or have no
+    `image_size`, (width, height) in pixels, is for files that do not state it (`states_size`). It may be left out only
+    for a single .pts: then the smallest size that contains all points is used. Points that all coincide, or have no
     confidence, mean that there is no face (`Landmarks2D.shows_face`). Raises `InputError` that names the line (or
-    entry) and what to mend, for the header of a CSV at this call, for its rows while iterating.
+    entry) and what to correct: for the header of a CSV at this call, for its rows while iterating.
     """
     return map(_with_real_face, _records(Path(path), image_size))
 
@@ -100,7 +100,7 @@ def _checked(path: str | Path) -> Path:
 
 
 def write_landmark_file(path: str | Path, records: Iterable[LandmarkRecord]) -> None:
-    """Write records as .csv, .json or .pts by suffix, whole or not at all; .pts holds exactly one face."""
+    """Write records as .csv, .json or .pts by suffix, completely or not at all; .pts holds exactly one face."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":

@@ -107,7 +107,7 @@ def _corners(picture: np.ndarray) -> Iterator[tuple[np.ndarray, tuple[int, int]]
 
 
 def _model_file(model: str | Path | None) -> Path:
-    """The model's path; raises `ConfigError` where none is named or there is no such file."""
+    """The model's path; raises `ConfigError` if none is named or the file does not exist."""
     if not model:
         raise ConfigError(
             "the detector mediapipe needs MediaPipe's model file: download face_landmarker.task from "

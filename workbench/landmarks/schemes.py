@@ -128,7 +128,7 @@ def detector_scheme(name: str) -> LandmarkScheme:
 
 
 def scheme_of_count(count: int) -> LandmarkScheme:
-    """The scheme with so many points: no two have as many. Raises `InputError` for other numbers."""
+    """The scheme with this many points: no two have the same number. Raises `InputError` for other numbers."""
     for scheme in SCHEMES.values():
         if len(scheme) == count:
             return scheme

@@ -49,7 +49,7 @@ class TrackerOptions:
                 raise ConfigError(f"tracker option {name} must be at least 1, got {getattr(self, name)}")
         for name in ("accept_confidence", "sure_confidence", "keep_confidence", "cut_correlation", "smallest_visible"):
             if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"tracker option {name} must lie in 0..1, got {getattr(self, name)}")
+                raise ConfigError(f"tracker option {name} must be in 0..1, got {getattr(self, name)}")
         for name in ("round_trip_sides", "flow_noise_sides", "predictor_noise_sides", "surprise"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"tracker option {name} must be positive, got {getattr(self, name)}")

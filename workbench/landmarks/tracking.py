@@ -52,7 +52,7 @@ class LandmarkTracker:
     """Follows one face, one picture at a time.
 
     Confidence in tracked frames is the predictor's own (scatter under moved boxes) times the agreement of flow and
-    predictor, times how far the last alignment from scratch bore it out. The same pictures give the same results, also
+    predictor, times how far the last alignment from scratch confirmed it. The same pictures give the same results, also
     after `state` / `restore` at any frame.
     """
 
@@ -257,7 +257,7 @@ class LandmarkTracker:
         }
         for name, shapes in {**expected, "counters": ((6,),)}.items():
             if name not in state or np.shape(state[name]) not in shapes:
-                raise InputError(f"this is no tracker state: {name} is missing or has another shape than {shapes[0]}")
+                raise InputError(f"not a tracker state: {name} is missing or has a different shape from {shapes[0]}")
         self.reset()
         check, bridged, search, retry, started, detections = (int(value) for value in state["counters"])
         if started and previous_picture is None:

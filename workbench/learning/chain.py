@@ -42,7 +42,7 @@ class Weighing(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Consecutive frames with a face of one shot; the first is fitted afresh."""
+    """Consecutive frames with a face of one shot; the first is fitted from scratch."""
 
     points: Float[AnyArray, "n points 2"]
     """Pixels."""

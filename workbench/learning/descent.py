@@ -47,7 +47,7 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Learning:
-    """What is known after so many steps; written as JSON, so that it can be looked at and continued."""
+    """The state after some steps; written as JSON, so that it can be inspected and continued."""
 
     key: str
     """SHA-256 of what is learned, from what and on what."""
@@ -196,14 +196,14 @@ def read_learning(path: Path) -> Learning:
             raise ValueError("another format")
         found = Learning(**held)
         if any(len(found.logs[name]) != len(log) for name, log in found.momentum.items()):
-            raise ValueError("another number of factors")
+            raise ValueError("a different number of factors")
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path} is not a stored learning ({error}); {ANEW}.") from error
     return found
 
 
 def stored(path: Path, key: str) -> Learning:
-    """A learning to go on with. Raises `InputError` if the file is not one, or of something else."""
+    """A learning to continue from. Raises `InputError` if the file is not one, or of something else."""
     found = read_learning(path)
     if found.key != key:
         raise InputError(f"{path} was learned from another configuration, clip, objective or part; {ANEW}.")

@@ -21,7 +21,7 @@ from workbench.tracking.walk import jumped
 LENGTH = 12
 """Frames of a stretch."""
 SETTLING = 4
-"""Frames at its beginning that no objective counts: it is fitted afresh, and E_τ begins with its third frame."""
+"""Frames at its beginning that no objective counts: it is fitted from scratch, and E_τ begins with its third frame."""
 
 
 class Example(NamedTuple):

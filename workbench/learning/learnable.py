@@ -52,11 +52,11 @@ def start_of(config: Config, paths: Sequence[str]) -> dict[str, Float[np.ndarray
                 "Limits, subsets and everything else can be searched (--search)."
             )
         if path != POINTS and _value(config, path) == 0.0:
-            raise ConfigError(f"{path} is 0, and learning scales what is there; start from a value above 0.")
+            raise ConfigError(f"{path} is 0, and learning only scales values; start from a value above 0.")
     if FOV in paths and config.camera.matrix is not None:
-        raise ConfigError("The camera is given as a matrix, which replaces camera.fov_deg; leave the latter unlearned.")
+        raise ConfigError("The camera is given as a matrix, which replaces camera.fov_deg; do not learn the latter.")
     if FOV in paths and config.camera.rig:
-        raise ConfigError("The rig holds the lens (camera.rig), which replaces camera.fov_deg; leave it unlearned.")
+        raise ConfigError("The rig holds the lens (camera.rig), which replaces camera.fov_deg; do not learn it.")
     if not paths:
         raise ConfigError("There is nothing to learn; name settings, for example weights.tau landmarks.weights.")
     return {path: np.zeros(POINT_COUNT if path == POINTS else 1) for path in dict.fromkeys(paths)}
@@ -82,7 +82,8 @@ def check_smooth(config: Config) -> None:
         if not term.smooth and config.omega()[term.omega_key(config.system)] > 0.0:
             raise ConfigError(
                 f"{term.omega_key(config.system)} is above 0, and {term.symbol} holds weights at a step or a kink, "
-                "where no derivative is; set it to 0 (the preset calibrated has smooth terms), or search (--search)."
+                "where there is no derivative; set it to 0 (the preset calibrated has smooth terms), or search "
+                "(--search)."
             )
 
 

@@ -13,7 +13,7 @@ SHARES = (0.6, 0.8)
 
 @dataclass(frozen=True)
 class Parts:
-    """Frames by what they are for. No frame is for two things."""
+    """Frames by what they are used for. No frame is in two parts."""
 
     train: range
     held_out: range
@@ -29,20 +29,20 @@ class Parts:
 
 
 def read_frames(text: str) -> range:
-    """The frames that A:B names, B not among them. Raises `ConfigError` for anything else."""
+    """The frames that A:B names, without B. Raises `ConfigError` for anything else."""
     found = _PART.fullmatch(text.strip())
     if found is None or int(found[1]) >= int(found[2]):
-        raise ConfigError(f"A part of a clip is FIRST:END, the end not among it, got {text!r}; for example 0:300.")
+        raise ConfigError(f"A part of a clip is FIRST:END, without the frame END, got {text!r}; for example 0:300.")
     return range(int(found[1]), int(found[2]))
 
 
 def parts_of_clip(
     frames: int, train: range | None = None, watch: range | None = None, held_out: range | None = None
 ) -> Parts:
-    """The parts of a clip of so many frames: three fifths, one and one if none is given.
+    """The parts of a clip with this many frames: three fifths, one fifth and one fifth if none is given.
 
-    Raises `InputError` for a clip that is too short for three parts, for parts outside the clip or that overlap, and
-    where one of train and held-out, or both beside watch, are missing.
+    Raises `InputError` for a clip that is too short for three parts, for parts outside the clip or that overlap, and if
+    one of train and held-out is missing, or both while watch is given.
     """
     if train is None and held_out is None and watch is None:
         first, second = (round(share * frames) for share in SHARES)
@@ -63,5 +63,5 @@ def parts_of_clip(
             )
     for (name, part), (other, later) in pairwise(in_order):
         if later.start < part.stop:
-            raise InputError(f"The parts {name} and {other} share frame {later.start}; no frame is for two things.")
+            raise InputError(f"The parts {name} and {other} share frame {later.start}; no frame may be in two parts.")
     return parts

@@ -18,14 +18,14 @@ class Change(NamedTuple):
 
     def __str__(self) -> str:
         if np.isnan(self.percent):
-            return "not known, as no frame has a value before and after, or the mean before is 0"
+            return "unknown, because no frame has a value before and after, or the mean before is 0"
         return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
 
 
 def change_of(before: Float[np.ndarray, "n"], after: Float[np.ndarray, "n"], seed: int = 0) -> Change:
-    """The change from one value a frame to another; frames without both do not count.
+    """The change from one value per frame to another; frames without both do not count.
 
-    NaN without such a frame, and where the mean before is 0.
+    NaN if no frame has both, or if the mean before is 0.
     """
     known = ~np.isnan(before) & ~np.isnan(after)
     before, after = before[known], after[known]

@@ -29,7 +29,7 @@ SEED = 0
 PIECES = 3
 """Parts of a trial, after each of which it may be given up."""
 KEY, START = "key", "start"
-"""What a study keeps besides its trials: what it is of, and the value of the configuration that it starts from."""
+"""What a study keeps beyond its trials: what it is of, and the value of the configuration that it starts from."""
 
 Tell = Callable[[int, int, float], None]
 """Called after each trial with their number, that of all, and the best value."""
@@ -126,7 +126,7 @@ def _study(journal: Path, key: str):
         raise
     except (ValueError, TypeError, LookupError, AttributeError) as error:
         raise InputError(f"{journal} is not a stored search ({error}); {ANEW}.") from error
-    # A search that goes on draws other points than it began with.
+    # A search that continues draws different points from those it started with.
     study.sampler = optuna.samplers.TPESampler(seed=SEED + len(_ended(study)))
     if not (study.user_attrs or study.trials):
         study.set_user_attr(KEY, key)
@@ -142,7 +142,7 @@ def _check_lines(journal: Path) -> None:
     for line in lines:
         checked_json(line)
     if lines and not lines[-1].endswith(b"\n"):
-        raise ValueError("the last line is torn")
+        raise ValueError("the last line is incomplete")
 
 
 def value_of(

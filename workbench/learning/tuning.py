@@ -34,7 +34,7 @@ STEPS, TRIALS = 24, 40
 TRAINED, WATCHED = 12, 4
 """Stretches that are learned on, and that choose the step, at most."""
 OF_LEARNING, OF_SEARCH = ".learning.json", ".study.log"
-"""What the files end with that an interrupted tuning goes on with."""
+"""Endings of the files that an interrupted tuning continues from."""
 
 Tell = Callable[[str, int, int, float, float | None], None]
 """Called with what is done ("learn", "search"), how many steps of how many, the value and the watched value."""
@@ -94,12 +94,12 @@ def tuned(
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
 
-    `place`: files of what was learned and searched begin so (`kept_beside`); `resume` goes on with them, else those of
-    an earlier tuning are removed. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked
-    before each step of a gradient; after a search that was interrupted no gradient is begun, for the search may yet
-    find a better start.
-    Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without frames to
-    learn on or without what an objective needs, and for files of another tuning.
+    `place`: files of what was learned and searched start with it (`kept_beside`); `resume` continues from them,
+    otherwise those of an earlier tuning are removed. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`,
+    which is asked before each step of a gradient; after an interrupted search no gradient is started, because the
+    search may still find a better start. Raises `ConfigError` for settings that cannot be learned or searched, and
+    `InputError` for a clip without frames to learn on or without what an objective needs, and for files of another
+    tuning.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
@@ -133,7 +133,7 @@ def tuned(
 
 
 def kept_beside(place: Path) -> list[Path]:
-    """The files that an interrupted tuning goes on with, whether they are there or not."""
+    """The files that an interrupted tuning continues from, whether they exist or not."""
     return [place.with_suffix(suffix) for suffix in (OF_LEARNING, OF_SEARCH)]
 
 

@@ -54,7 +54,7 @@ def crop_box(edges: Edges, roll: float = 0.0) -> CropBox:
 
 
 def fan_box(edges: Edges, roll: float = 0.0) -> CropBox:
-    """The crop that 3D-FAN expects of a face detection (left, top, right, bottom), as `face_alignment.api` has it.
+    """The crop that 3D-FAN expects for a face detection (left, top, right, bottom), as in `face_alignment.api`.
 
     The centre rises by 0.12 box heights (along the roll), and the side is 200 · (width + height) / 195: about twice
     the detector's box. Raises `InputError` as `crop_box` does.

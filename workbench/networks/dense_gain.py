@@ -42,7 +42,7 @@ class DenseGain(eqx.Module):
 
 
 def differences(points: Float[np.ndarray, "*n points 2"], landmarks: Float[np.ndarray, "*n 68 2"]) -> np.ndarray:
-    """By how much the heat maps' landmarks lie beside the dense network's, bounded: one column a coordinate."""
+    """How far the heat maps' landmarks are from the dense network's, bounded: one column per coordinate."""
     apart = np.clip(landmarks - points[..., :LANDMARKS, :], -MOST_PX, MOST_PX)
     return apart.reshape(*apart.shape[:-2], -1)
 

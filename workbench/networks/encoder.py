@@ -85,7 +85,8 @@ def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
         return (c0, c1, c2, c3), _counted(blocks, MOST_BLOCKS)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(
-            f"the metadata of {weights.origin} should hold {WIDTHS} (four numbers, as [32, 64, 128, 192]) and {BLOCKS} "
+            f"the metadata of {weights.origin} should hold {WIDTHS} (four numbers, for example [32, 64, 128, 192]) and "
+            f"{BLOCKS} "
             f"(one number), got {shortened(weights.metadata.get(WIDTHS))} and "
             f"{shortened(weights.metadata.get(BLOCKS))}"
         ) from error
@@ -96,7 +97,7 @@ def check_largest(network: Encoder, largest: Float[Array, "layers"] | None, orig
     if largest is not None and not (largest.shape == (network.passed_on,) and (largest > 0).all()):
         raise ModelError(
             f"`largest` in {origin} should hold a number above zero for each of the network's {network.passed_on} "
-            f"layers, got {largest.size}, the least {float(largest.min()):g}: get the file again"
+            f"layers, got {largest.size}, the smallest {float(largest.min()):g}: get the file again"
         )
 
 

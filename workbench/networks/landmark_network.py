@@ -170,5 +170,6 @@ def _check_calibration(calibration: Calibration, origin: str) -> None:
     in_range = all(((values >= 0) & (values <= 1)).all() for values in (mass, confidence))
     if not (in_range and (np.diff(mass) > 0).all() and (np.diff(confidence) >= 0).all()):
         raise ModelError(
-            f"the calibration in {origin} should map ascending masses in 0..1 to confidences in 0..1 that never fall"
+            f"the calibration in {origin} should map ascending masses in 0..1 to confidences in 0..1 that never "
+            "decrease"
         )

@@ -82,7 +82,7 @@ def _read_zip(content: bytes) -> tuple[Any, Mapping[str, bytes]]:
         # What PyTorch stores without compression; a TorchScript archive's code is compressed, and left alone.
         listed = [info for info in archive.infolist() if info.compress_type == zipfile.ZIP_STORED]
         if sum(info.file_size for info in listed) > len(content):
-            raise UnreadableError("its entries lie on top of each other")
+            raise UnreadableError("its entries overlap")
         entries = {info.filename: archive.read(info) for info in listed}
     roots = [name.removesuffix("data.pkl") for name in entries if name.endswith("/data.pkl") and name.count("/") == 1]
     if len(roots) != 1:

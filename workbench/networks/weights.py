@@ -60,7 +60,7 @@ def read_weights(path: str | Path) -> Weights:
         path, "weights", absent=f"there is no weights file {path}; check the name and the folder.", may_be_empty=True
     )
     remedy = (
-        "it is cut off or of another kind; get it again, or make one of a PyTorch checkpoint by: "
+        "it is cut off or of another kind; get it again, or make one from a PyTorch checkpoint with: "
         "workbench weights convert FILE"
     )
     with reading(path, "a safetensors file", remedy), safe_open(path, framework="numpy") as file:
@@ -69,7 +69,7 @@ def read_weights(path: str | Path) -> Weights:
 
 
 def write_weights(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write a safetensors file, whole or not at all."""
+    """Write a safetensors file, completely or not at all."""
     packed = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     with atomic_path(path) as temporary:
         save_file(packed, temporary, metadata=dict(metadata))
@@ -97,7 +97,7 @@ def fill(empty: Callable[[], Module], weights: Weights) -> Module:
 
 
 def save_module(path: str | Path, module: eqx.Module, metadata: Mapping[str, str]) -> None:
-    """Write a module's arrays under their names, whole or not at all; `fill` reads them back."""
+    """Write a module's arrays under their names, completely or not at all; `fill` reads them back."""
     write_weights(path, {name: np.asarray(array) for name, array in named_arrays(module).items()}, metadata)
 
 

@@ -1,4 +1,4 @@
-"""Objectives: how good the fits of a clip are, one number a frame, with a known truth or without any."""
+"""Objectives: how good the fits of a clip are, one number per frame, with or without a known truth."""
 
 import lazy_loader
 

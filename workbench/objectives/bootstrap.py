@@ -27,7 +27,7 @@ def drawn_means(values: Float[np.ndarray, "m n"], seed: int = 0, draws: int = DR
 
 
 def interval_of(drawn: Float[np.ndarray, "d"], of_drawn: bool = False) -> tuple[float, float]:
-    """Between which values 95 % of the draws lie; `of_drawn`: the ends are values that were drawn."""
+    """The interval that holds 95 % of the draws; `of_drawn`: the ends are values that were drawn."""
     outside = 0.5 * (100.0 - SURE_PERCENT)
     method = "inverted_cdf" if of_drawn else "linear"
     low, high = np.percentile(drawn, [outside, 100.0 - outside], method=method)

@@ -32,7 +32,7 @@ def observed_clip(observations: Sequence[FrameObservation], truth: Truth = Truth
 
 
 def without_hidden(observation: FrameObservation, hidden: Bool[np.ndarray, "points"]) -> FrameObservation:
-    """The observation with the hidden landmarks worth nothing to a fit."""
+    """The observation with weight 0 for the hidden landmarks."""
     if observation.landmarks is None or not hidden.any():
         return observation
     confidence = np.where(hidden, 0.0, observation.landmarks.confidence)

@@ -28,7 +28,7 @@ def point_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray
 
 def part_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:
     """Each fold hides a whole part of the face in all frames, eyes with their irises: no neighbour of a hidden point is
-    seen, but for those of cheeks and forehead that a scheme may have."""
+    seen, except those of cheeks and forehead that a scheme may have."""
     with_irises = {"eyes": ("eyes", *({"irises"} & set(scheme.groups)))}
     hidden = np.array([scheme.group_mask(*with_irises.get(part, (part,))) for part in PARTS])
     return np.repeat(hidden[:, None], frames, axis=1)
@@ -43,7 +43,7 @@ def frame_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray
 FOLDS: Mapping[str, Callable[..., Bool[np.ndarray, "f n points"]]] = MappingProxyType(
     {"points": point_folds, "parts": part_folds, "frames": frame_folds}
 )
-"""By kind: what each fold hides in a clip of so many frames, of the 68 or of another scheme's points."""
+"""By kind: what each fold hides in a clip with this many frames, of the 68 or of another scheme's points."""
 
 
 def folds_of(kinds: tuple[str, ...], frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:

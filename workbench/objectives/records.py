@@ -14,7 +14,7 @@ from workbench.geometry import PlacedCamera
 
 
 class Truth(NamedTuple):
-    """What is known of the frames of a clip; None and NaN where nothing is."""
+    """What is known about the frames of a clip; None and NaN where nothing is known."""
 
     rotation: Float[AnyArray, "n 3"] | None = None
     """Axis-angle, head to camera, radians."""

@@ -34,7 +34,7 @@ class WeightedSum:
 
 
 def read_sum(text: str) -> WeightedSum:
-    """The sum that a text as `jitter + 0.5*left-out-points` names.
+    """The sum that a text such as `jitter + 0.5*left-out-points` names.
 
     Raises `ConfigError` for an unknown objective or anything but factors and names.
     """
@@ -56,7 +56,7 @@ def _factor(text: str | None, whole: str) -> float:
 
 
 def pareto_set(values: Float[np.ndarray, "p m"]) -> Bool[np.ndarray, "p"]:
-    """Which points no other point beats: as good in all of the `m` objectives and better in one.
+    """Which points no other point beats, that is, is as good in all of the `m` objectives and better in one.
 
     Less is better. A point with NaN is never among them.
     """
@@ -68,7 +68,7 @@ def pareto_set(values: Float[np.ndarray, "p m"]) -> Bool[np.ndarray, "p"]:
 
 
 def least_at_equal(wanted: Float[np.ndarray, "p"], kept: Float[np.ndarray, "p"], slack: float = 0.05) -> int | None:
-    """The point with the least `wanted` among those whose `kept` is within `slack` of the least; None if all are NaN.
+    """The point with the lowest `wanted` among those whose `kept` is within `slack` of the lowest; None if all are NaN.
 
     For jitter at equal error: any setting can be steady if the error may grow.
     """

@@ -26,7 +26,7 @@ NEEDED = {
     "flow": "the clip's pictures",
     "second": "the clip of a second camera and the rig of both (--view, --rig)",
 }
-"""What each need is, for whoever lacks it."""
+"""What each need is, for the error if it is missing."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Objective:
     unit: str
     """Empty for pure numbers."""
     function: str
-    """Module and function of this package, from an `ObservedClip` and a `FittedClip` to a number a frame."""
+    """Module and function of this package, from an `ObservedClip` and a `FittedClip` to one number per frame."""
     needs: Need | None = None
     folds: str = ""
     """The kind of folds (`FOLDS`) whose fits it looks at; empty: only the fits that see everything."""
@@ -99,8 +99,8 @@ ROWS = (
     Objective(
         name="flow",
         says="distance between the motion of the model's landmarks and the motion of the picture there",
-        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; nor depth, nor "
-        "motion without texture",
+        blind="where the head is: a fit that is off by the same amount in all frames moves correctly; also depth, and "
+        "what moves without texture",
         unit="% of the eye distance",
         function="without_truth:flow_error",
         needs="flow",
@@ -108,7 +108,7 @@ ROWS = (
     Objective(
         name="second-view",
         says="distance of the model's landmarks, fitted to one camera, from those that another camera sees",
-        blind="errors that the detector makes alike in both pictures, and along the line between the cameras",
+        blind="errors that the detector makes in both pictures alike, and errors along the line between the cameras",
         unit="% of the eye distance",
         function="without_truth:second_view_error",
         needs="second",
@@ -156,7 +156,7 @@ ROWS = (
     ),
     Objective(
         name="iterations",
-        says="steps that the solver takes a frame: what a setting costs in time",
+        says="steps that the solver takes per frame: what a setting costs in time",
         blind="how good the fit is; and a step that frees weights takes longer than one of the pose alone",
         unit="steps",
         function="without_truth:solver_steps",
@@ -167,7 +167,7 @@ TABLE: Mapping[str, Objective] = MappingProxyType({row.name: row for row in ROWS
 
 
 def measure(name: str) -> Callable[[ObservedClip, FittedClip], Float[AnyArray, "n"]]:
-    """The function of an objective. Raises `ConfigError` for a name that no row has."""
+    """The function of an objective. Raises `ConfigError` for an unknown name."""
     module, function = objective(name).function.split(":")
     return getattr(import_module(f"workbench.objectives.{module}"), function)
 
@@ -180,9 +180,9 @@ def objective(name: str) -> Objective:
 
 
 def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> dict[str, Float[AnyArray, "n"]]:
-    """Some objectives of the fits of a clip, a number a frame each.
+    """Some objectives of the fits of a clip, each with one number per frame.
 
-    Raises `InputError` where the clip lacks what an objective needs.
+    Raises `InputError` if the clip lacks what an objective needs.
     """
     names = tuple(names)
     check_usable(names, clip)
@@ -190,15 +190,15 @@ def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> d
 
 
 def check_usable(names: Iterable[str], clip: ObservedClip) -> None:
-    """Raise `InputError` where a clip lacks what an objective needs."""
+    """Raise `InputError` if a clip lacks what an objective needs."""
     for name in names:
         if not usable(objective(name), clip):
             raise lacking(name)
 
 
 def lacking(name: str) -> InputError:
-    """What is raised where a clip lacks what an objective needs."""
-    return InputError(f"The objective {name!r} needs {NEEDED[TABLE[name].needs]}; this clip comes without it.")
+    """The error for a clip that lacks what an objective needs."""
+    return InputError(f"The objective {name!r} needs {NEEDED[TABLE[name].needs]}; this clip does not have it.")
 
 
 def usable(row: Objective, clip: ObservedClip) -> bool:

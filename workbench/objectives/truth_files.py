@@ -27,9 +27,9 @@ def read_truth(
     """What a file says of these frames of a clip; NaN for those that it does not have.
 
     A `.npz` holds any of `rotation` (n, 3), `translation` (n, 3), `expression` (n, k) with `expression_names` (k),
-    `identity` and `landmarks` (n, 68, 2), row by frame, as `data_samples/performance_truth.npz`; or it is a track,
-    whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by
-    the file names of all `pictures`, of which frame 0 is the `first`. Raises `InputError` for anything else.
+    `identity` and `landmarks` (n, 68, 2), one row per frame, like `data_samples/performance_truth.npz`; or it is a
+    track, whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by the
+    file names of all `pictures`, of which frame 0 is the `first`. Raises `InputError` for anything else.
     """
     path = checked_file(path, "a truth")
     if path.suffix.lower() != ".npz":
@@ -94,7 +94,7 @@ def _by_name(path: Path, arrays: dict[str, np.ndarray], model: FaceModel, of_fra
     names = [str(name) for name in arrays.get("expression_names", model.expression_names)]
     stored = of_frames("expression", len(names))
     if not set(names) & set(model.expression_names):
-        raise InputError(f"{path} has weights of other blendshapes than the model; name the model with --model.")
+        raise InputError(f"{path} has weights for none of the model's blendshapes; name the model with --model.")
     columns = [
         stored[:, names.index(name)] if name in names else np.zeros(len(stored)) for name in model.expression_names
     ]

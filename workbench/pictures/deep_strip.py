@@ -54,11 +54,11 @@ def stage_strip(
 ) -> UInt8[np.ndarray, "sh sw 3"]:
     """A film strip of a solve: the photo, the start, what each stage left, and the last one without marks.
 
-    Each stage's face is rendered with the shot's albedo and light over the same square of the photo. Green dots are
-    the model's landmarks, as the energy has them; teal rings those in the photo, red lines lead from one to the other
-    (Deep Energies Fig. 3). Below stand the stage's name, its steps, its energy before and after, and the mean distance.
-    `view` counts the cameras of a rig; `picture` is that camera's. `columns` panels stand in a row. Raises `InputError`
-    for a view that is not there.
+    Each stage's face is rendered with the shot's albedo and light over the same square of the photo. Green dots are the
+    model's landmarks, as the energy has them; teal rings those in the photo, red lines lead from one to the other (Deep
+    Energies Fig. 3). Below are the stage's name, its steps, its energy before and after, and the mean distance. `view`
+    counts the cameras of a rig; `picture` is that camera's. `columns` panels are in a row. Raises `InputError` for an
+    unknown view.
     """
     _check(solution, view)
     scene, camera = solution.problem.scene, solution.views[view]
@@ -96,7 +96,7 @@ def write_stage_strip(
     solution: DeepSolution,
     view: int = 0,
 ) -> None:
-    """Write `stage_strip` as PNG or JPEG (by suffix), whole or not at all."""
+    """Write `stage_strip` as PNG or JPEG (by suffix), completely or not at all."""
     write_picture(path, stage_strip(picture, fitter, solution, view))
 
 
@@ -118,7 +118,7 @@ def heat_map_pair(
     look = solution.results[stage].prediction.looks[view]
     if look is None or look.heat_maps is None or not np.any(np.asarray(camera.weights) > 0.0):
         raise InputError(
-            f'View {view} has no heat maps: there are some where the network found a face, deep.energy is "deep" or '
+            f'View {view} has no heat maps: it has them only if the network found a face, deep.energy is "deep" or '
             '"mixed", and deep.network is not dense.'
         )
     target, box = np.asarray(camera.target), crop_of(network, jnp.asarray(camera.target))

@@ -17,7 +17,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Lighting:
-    """Several lights, and what a surface shows in none of them."""
+    """Several lights, and what a surface shows without any light."""
 
     lights: tuple[Light, ...]
     ambient: float

@@ -50,11 +50,11 @@ def write_overlay_video(
     """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
 
     A second, streaming pass over the frames that holds two of them at a time; the head is rendered in its own thread
-    while the previous frame is encoded. Frames of another size than the first are scaled to fit into its. `dressed`
-    shows the head as a character with the fitted face, `rate` replaces the input's frames per second. `progress` is
-    called with (frames done, frames of the track). Returns a note where the head had to be drawn without GL, else None.
-    Raises `InputError` for an empty track, and if none of its frames is in the input; after any error there is nothing
-    under `path`.
+    while the previous frame is encoded. Frames of a different size from the first are scaled to fit into its size.
+    `dressed` shows the head as a character with the fitted face, `rate` replaces the input's frames per second.
+    `progress` is called with (frames done, frames of the track). Returns a note where the head had to be drawn without
+    GL, else None. Raises `InputError` for an empty track, and if none of its frames is in the input; after any error
+    there is nothing under `path`.
     """
     if len(track) == 0:
         raise InputError("The track has no frames, so there is nothing to draw; track the input first.")
@@ -146,7 +146,7 @@ class OverlayPictures:
 class HeadPanel:
     """The 3D head of one fit after the other, sized to go beside frames of (width, height); `dressed`: as a character.
 
-    Raises `InputError` for another `view` than "pose" and "front".
+    Raises `InputError` for a `view` other than "pose" and "front".
     """
 
     def __init__(

@@ -46,7 +46,7 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """What the clip does not tell: names of styles, as in `characters.toml`."""
+    """What the clip does not show: names of styles, as in `characters.toml`."""
 
     hair: str = ""
     """Empty: none."""
@@ -109,7 +109,9 @@ def _check_styles(wardrobe: Wardrobe, identity: np.ndarray) -> None:
     """Raise `ModelError` for a style and `InputError` for a colour that cannot be, before minutes are spent."""
     color = wardrobe.hair_color
     if color is not None and not (len(color) == 3 and all(0.0 <= value <= 255.0 for value in color)):
-        raise InputError(f"A colour is three numbers from 0 to 255, as 82,62,46; got {', '.join(map(str, color))}.")
+        raise InputError(
+            f"A colour is three numbers from 0 to 255, for example 82,62,46; got {', '.join(map(str, color))}."
+        )
     styles = {name: getattr(wardrobe, name) for name in ("hair", "eyes", "clothes", "teeth", "lashes")}
     dress(Character("person", "", skin=skin_names()[0], brows="", identity=identity, **styles))
 
@@ -118,7 +120,7 @@ def usable_fits(track: Track) -> list[FrameFit]:
     """The fits of the longest shot to a face that was seen, without failure. Raises `InputError` if there are none."""
     usable = np.asarray(track.found, bool) & (np.asarray(track.failure) == 0) & track.seen
     if not usable.any():
-        raise InputError("No frame of this track has a usable face, so there is no person to take over.")
+        raise InputError("No frame of this track has a usable face, so there is no person to make a character of.")
     shots, counts = np.unique(track.shot[usable], return_counts=True)
     chosen = usable & (track.shot == shots[counts.argmax()])
     return [track[int(position)] for position in np.flatnonzero(chosen)]
@@ -213,7 +215,8 @@ def _model(track: Track) -> FaceModel:
     stored = track.meta.get("model") or {}
     if stored.get("name", "default-head") != "default-head":
         raise InputError(
-            f"Characters are of the default head, this track was fitted with {stored['name']}; track without --model."
+            f"Characters are for the default head, but this track was fitted with {stored['name']}; track without "
+            "--model."
         )
     full = load_default_head(gaze=True)
     return full if track.expression_names == full.expression_names else load_default_head()

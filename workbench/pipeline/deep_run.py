@@ -24,7 +24,7 @@ BATCH = 16
 BATCH_OF_A_WORKER = 4
 """Many workers get more frames at once, so that few of them wait for the last one of a batch."""
 STRIPS = 12
-"""At most so many frames have their stages drawn, evenly over the run, and as many that failed."""
+"""At most this many frames have their stages drawn, evenly over the run, and as many that failed."""
 
 Pair = tuple[FrameObservation, FrameContext]
 
@@ -176,5 +176,5 @@ def _fits(batch: Sequence[Pair], tracker: FaceTracker, workers: Workers, work: F
     ]
     for result in in_order(workers.results(tasks, work)):
         if isinstance(result, Failed):
-            raise InputError(f"{result.reason} Finished frames are kept; --resume goes on after them.")
+            raise InputError(f"{result.reason} Finished frames are kept; --resume continues after them.")
         yield result

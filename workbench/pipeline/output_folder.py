@@ -66,7 +66,7 @@ def run_folder(
 
 
 def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
-    """Raise `OutputError` where a run into this folder would write over one of these files or folders."""
+    """Raise `OutputError` if a run into this folder would overwrite one of these files or folders."""
     # os.path answers about any name, also about one that cannot be.
     subfolders = [folder / name for name in PICTURE_FOLDERS if os.path.isdir(folder / name)]
     drawn = [path for subfolder in subfolders for path in subfolder.iterdir()]
@@ -76,7 +76,7 @@ def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
 def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str = "--overwrite") -> None:
     """Raise `OutputError` where one of these files is in a folder already: `what` is, and `remedy` would replace it."""
     if any((folder / name).exists() for name in names):
-        raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by {remedy}.")
+        raise OutputError(f"{folder} already holds {what}; name another folder, or replace it with {remedy}.")
 
 
 def drawn_in(folder: Path) -> list[Path]:

@@ -60,7 +60,7 @@ class PictureSource:
             before = frame.picture
 
     def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
-        """Each frame as a picture of its own, with what is found in it."""
+        """Each frame as a separate picture, with what is found in it."""
         yield from ((frame, self._still(frame)) for frame in read_ahead(self.frames.iterate(start)))
 
     def state(self) -> dict[str, np.ndarray]:

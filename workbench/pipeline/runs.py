@@ -92,8 +92,8 @@ def track(
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
     names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
-    goes on with a run of the same input and configuration by the same versions, whose finished parts are kept when it
-    is interrupted; `overwrite` replaces what an earlier run left. With both, what cannot be gone on with is replaced.
+    continues a run of the same input and configuration by the same versions, whose finished parts are kept when it is
+    interrupted; `overwrite` replaces what an earlier run left. With both, a run that cannot be continued is replaced.
     Raises `InputError` for an input that cannot be used, `OutputError` for a folder that cannot be written, holds
     another run, or whose files are inputs, and `LostSchedulerError`.
     """
@@ -166,7 +166,7 @@ def _telling_what_is_kept(folder: Path) -> Iterator[None]:
 
 
 def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
-    """Raise `OutputError` where a run to be resumed would begin anew over the parts of another one."""
+    """Raise `OutputError` if a run to be resumed would start again over the parts of another one."""
     if not job.resume or job.overwrite:
         return
     own = [meta, worked_meta(meta, job.config, job.steps)]
@@ -174,19 +174,19 @@ def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
     found = [begun for place in places if (begun := begun_run(place)) is not None]
     if found and not any(has_parts(place, _begun_as(place, meta)) for place in places for meta in own):
         what = f"an interrupted run {_unlike(found[0][1], own)}"
-        raise OutputError(f"{job.folder} holds {what}, or replace it by --overwrite.")
+        raise OutputError(f"{job.folder} holds {what}, or replace it with --overwrite.")
 
 
 def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
-    """What another run, by its metadata, has that the wanted one has not, and what to do besides replacing it."""
+    """What another run, by its metadata, has that the wanted one lacks, and what to do other than replace it."""
     was, now = made.get("versions"), wanted[0]["versions"]
     if was not in (None, now) and _fingerprint({**made, "versions": now}) in map(_fingerprint, wanted):
         names = [name for name in {**was, **now} if was.get(name) != now.get(name)]
         listed = ", ".join(f"{name} {was.get(name, 'none')}, now {now.get(name, 'none')}" for name in names)
-        return f"that was begun with other versions ({listed}); install those again, name another folder"
+        return f"that was started with other versions ({listed}); install those again, name another folder"
     ran, runs = made.get("detector"), wanted[0]["detector"]
     if ran and runs and ran != runs and _fingerprint({**made, "detector": runs}) in map(_fingerprint, wanted):
-        return f"that was begun with the detector {ran}; go on with --detector {ran}, name another folder"
+        return f"that was started with the detector {ran}; continue with --detector {ran}, name another folder"
     return "of another input or configuration; name another folder"
 
 
@@ -205,11 +205,11 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
         files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
         for name in PARTS:
             shutil.rmtree(job.folder / name, ignore_errors=True)
-        note = "This run was finished before, and nothing was left to do; --overwrite without --resume repeats it."
+        note = "This run was already finished; --overwrite without --resume repeats it."
         return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn_in(job.folder)), (note,))
     if job.overwrite:
         return None
-    raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it by --overwrite.")
+    raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it with --overwrite.")
 
 
 def _run(job: _Job, source, meta: dict[str, Any], stills: bool, watched: WatchedFiles) -> RunResult:
@@ -281,7 +281,7 @@ def _blind_terms(config: Config, scheme: LandmarkScheme) -> list[str]:
         return []
     seeing = " or ".join(name for name, seen in OF_DETECTORS.items() if "pupils" in seen.groups)
     said = f"These landmarks have no pupils: eyes do not turn, and {', '.join(blind)} have no effect"
-    return [f"{said}; take those of the detector {seeing}."]
+    return [f"{said}; use those of the detector {seeing}."]
 
 
 def retrack(
@@ -299,8 +299,8 @@ def retrack(
 ) -> RunResult:
     """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
 
-    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
-    they were moved. Steps that look at no pictures need none; without them no film is drawn. `overwrite` replaces what
+    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, if they
+    were moved. Steps that do not look at pictures need none; without them no film is drawn. `overwrite` replaces what
     an earlier run left. Raises `InputError` for a track, model or pictures that cannot be used, and `OutputError` as
     `track` does.
     """

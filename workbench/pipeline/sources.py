@@ -60,7 +60,7 @@ class FileSource:
     def notes(self) -> list[str]:
         if self.views:
             file, clip = self._paths[0].name, self.frames.name
-            told = f"{file} goes on beyond the last frame of {clip}; its later rows are left out."
+            told = f"{file} has rows beyond the last frame of {clip}; they are left out."
             return [*self.frames.notes, *([told] if self._beyond else [])]
         rows = self._rows
         return [] if rows is None else range_notes(self._paths[-1].name, rows.start, rows.stop - 1, self._count)

@@ -26,7 +26,7 @@ Progress = Callable[[str, int, int | None], None]
 
 
 def wanted_steps(config: Config) -> tuple[Step, ...]:
-    """What the configuration asks for besides fitting each frame."""
+    """What the configuration asks for in addition to fitting each frame."""
     asked = (config.infill.method != "none", config.refinement.method != "none", config.refinement.reestimate > 0)
     return tuple(step for step, wanted in zip(STEPS, asked, strict=True) if wanted)
 

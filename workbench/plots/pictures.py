@@ -169,7 +169,7 @@ def compared_fits(
             raise InputError(
                 f"The fit {label!r} has {len(fit.expression)} blendshape weights, and the face model has {count}: give "
                 "the model that it was fitted with (for the preset dense, face.in_scheme(model, DENSE)), and compare "
-                "fits of different models in pictures of their own."
+                "fits of different models in separate pictures."
             )
     wide = round(HEAD_CUT * side)
     with HeadPanel(model, (wide, wide), view, dressed=dressed) as panel:

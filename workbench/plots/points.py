@@ -21,7 +21,7 @@ NAMED, APART = 8, 0.09
 def point_factors(
     factors: dict[str, Float[np.ndarray, "68"]], marked: Mapping[str, Sequence[int]] = MappingProxyType({})
 ) -> Figure:
-    """How far each landmark is believed, a face per labelled set of factors above 0: blue above 1, red below.
+    """How far each landmark is trusted, one face per labelled set of factors above 0: blue above 1, red below.
 
     The smallest have their numbers; `marked` landmarks, by label, have a square around them.
     """

@@ -67,7 +67,7 @@ class Appearance:
     """Root mean square difference to the picture over the pixels that were used."""
 
     def save(self, path: str | Path) -> None:
-        """Write an .npz file, whole or not at all. Raises `InputError` for another suffix."""
+        """Write an .npz file, completely or not at all. Raises `InputError` for another suffix."""
         if Path(path).suffix != ".npz":
             raise InputError(f"An appearance is stored as .npz, got {Path(path).name}; change the name.")
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -122,7 +122,7 @@ def _numbers(stored: Mapping[str, np.ndarray], name: str) -> Float[np.ndarray, "
     """An array as 32-bit numbers. Raises ValueError unless it holds numbers of colours, light or pixels."""
     array = stored[name]
     if array.dtype not in (np.float32, np.float64) or not (np.abs(array) < LARGEST).all():
-        raise ValueError(f"{name} holds something else than finite numbers")
+        raise ValueError(f"{name} holds something other than finite numbers")
     return array if name == "residual" else array.astype(np.float32)
 
 

@@ -44,7 +44,9 @@ class UVMap:
 def uv_map(model: FaceModel, size: int) -> UVMap:
     """The map of a model's texture of `size` × `size` texels, first row on top. Raises `InputError` without UVs."""
     if len(model.uv) < 2:
-        raise InputError(f"The model {model.name} has no texture coordinates; use one that has, as the default head.")
+        raise InputError(
+            f"The model {model.name} has no texture coordinates; use one that has them, such as the default head."
+        )
     drawn, barycentric = drawn_triangles(model.uv[model.triangles_uv], size)
     nearest = tuple(distance_transform_edt(drawn < 0, return_distances=False, return_indices=True))
     triangle = drawn[nearest]

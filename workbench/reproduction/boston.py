@@ -90,14 +90,14 @@ class MeanErrors(NamedTuple):
 
 
 def boston_camera() -> Camera:
-    """The camera that evaluations on the set take: 500 pixels of focal length, centred."""
+    """The camera that evaluations on the set use: 500 pixels of focal length, centred."""
     return camera_from_matrix(np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 120.0], [0.0, 0.0, 1.0]]))
 
 
 def read_set(folder: str | Path) -> tuple[tuple[BostonSequence, ...], tuple[str, ...]]:
     """The sequences in a folder (or in its `uniform-light`), and a sentence for each that is missing or damaged.
 
-    Raises `InputError` where none can be read.
+    Raises `InputError` if none can be read.
     """
     folder = Path(folder)
     if (folder / FOLDER).is_dir():
@@ -118,7 +118,7 @@ def read_set(folder: str | Path) -> tuple[tuple[BostonSequence, ...], tuple[str,
 def read_sequence(folder: str | Path, name: str) -> BostonSequence:
     """One sequence of a folder: `NAME.dat`, and `NAME.avi` or a copy of it as `NAME.mp4`, whose frames are counted.
 
-    Raises `InputError` for missing, torn or foreign files, and where readings and frames are not as many.
+    Raises `InputError` for missing, incomplete or foreign files, and if the numbers of readings and frames differ.
     """
     video, truth = Path(folder) / f"{name}.avi", Path(folder) / f"{name}.dat"
     if not video.exists() and video.with_suffix(".mp4").exists():
@@ -160,7 +160,7 @@ def read_truth(path: str | Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.nda
 def write_truth(path: str | Path, angles_deg: Float[np.ndarray, "n 3"], places_mm: Float[np.ndarray, "n 3"]) -> None:
     """Readings in the set's layout, for simulated sequences; angles and places as in `BostonSequence`.
 
-    Raises `OutputError` where the file cannot be written.
+    Raises `OutputError` if the file cannot be written.
     """
     yaw, pitch, roll = (TURNS * angles_deg).T
     rows = np.column_stack([np.arange(1, len(angles_deg) + 1), AXES * places_mm / INCH_MM, roll, yaw, pitch])
@@ -176,7 +176,7 @@ def pose_errors(
 
     Both sides are calibrated by the first frame with a face: R₁ᵀR_t is compared in yaw, pitch and roll, and t_t − t₁ in
     inches. A turn between the transmitter's axes and the camera's cancels. How the sensor sits on the head does not:
-    its way about the head's origin counts as an error. Raises `InputError` for another number of frames.
+    its way about the head's origin counts as an error. Raises `InputError` for a different number of frames.
     """
     expected = sequence.angles_deg.shape
     if not rotations.shape == translations_mm.shape == expected:
@@ -198,7 +198,7 @@ def mean_errors(errors: Sequence[PoseErrors]) -> MeanErrors:
     frames = sum(len(one.angles_deg) for one in errors)
     missed = sum(one.missed for one in errors)
     if not frames:
-        raise InputError(f"No mean of errors without a frame that shows a face; {missed} frames were missed.")
+        raise InputError(f"No frame shows a face, so there is no mean error; {missed} frames were missed.")
     yaw, pitch, roll = (float(value) for value in np.concatenate([one.angles_deg for one in errors]).mean(axis=0))
     x, y, z = (float(value) for value in np.concatenate([one.places_in for one in errors]).mean(axis=0))
     return MeanErrors(roll, pitch, yaw, (roll + pitch + yaw) / 3.0, (x, y, z), frames, missed)

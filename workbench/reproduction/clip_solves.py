@@ -91,7 +91,7 @@ class ClipSolver:
     ) -> ClipSolves:
         """The frames, each on its own, with the clip's camera and its person's identity.
 
-        What was solved before, and as `observed`, is not solved again: its seconds are those that it took then.
+        What was solved before, and as `observed`, is not solved again: its seconds are those of the first time.
         """
         config = _with_camera(config)
         fitter, settings, solutions = _fitter(config), config.model_dump_json(), {}

@@ -58,7 +58,7 @@ def stages(study: Study) -> Result:
         figures={**strips, "Mean errors after each stage.": plots.errors_per_stage(names, errors)},
         tables=(Table("Mean errors after each stage", header, rows),),
         notes=(
-            "As in the paper's Fig. 6 the rigid alignment overfits to the mouth, above all in depth, and comes right "
+            "As in the paper's Fig. 6 the rigid alignment overfits to the mouth, above all in depth, and is corrected "
             "as the jaw opens. Unlike in its Fig. 5 the stage of all jaw parameters changes little: this jaw opens "
             "straight. The jaw's landmarks alone may turn the head away for a stage, and all of them turn it back. The "
             "paper's pictures leave out the face's colours; these show what the network sees.",

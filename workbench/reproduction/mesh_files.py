@@ -66,10 +66,10 @@ def read_mesh(path: str | Path) -> OtherMesh:
 
 
 def read_mesh_folder(folder: Path, frames: Collection[int]) -> tuple[tuple[FoundMesh, ...], tuple[str, ...]]:
-    """The meshes below a folder, a program's in a folder of its name, and a sentence for whatever is no such mesh.
+    """The meshes below a folder, each program's in a folder of its name, and a sentence for every other file.
 
     Their names begin with that of the picture, `frame_N`. Of several files of a frame the first with triangles counts.
-    Raises `InputError` where there is no such folder.
+    Raises `InputError` if there is no such folder.
     """
     if not folder.exists():
         raise InputError(f"The folder of meshes {folder} does not exist; check the name.")
@@ -93,7 +93,7 @@ def _read_program(folder: Path, frames: Collection[int], found: dict[tuple[str, 
             others.append(path.name)
         elif named is None or int(named[1]) not in frames:
             names = ", ".join(f"frame_{frame}" for frame in sorted(frames))
-            problems.append(f"{path} is of no picture here; its name should begin with one of {names}.")
+            problems.append(f"{path} belongs to no picture here; its name should begin with one of {names}.")
         else:
             key = folder.name, int(named[1])
             try:

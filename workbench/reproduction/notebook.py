@@ -19,7 +19,7 @@ LARGEST_PX = (720, 460)
 def shown(name: str, folder: str | Path, *, quick: bool = True, left_out: bool = False) -> tuple[Any, ...]:
     """Remake one item in a folder, or take it from there, and return its text, tables and figures for `display`.
 
-    `left_out`: say only what the paper says, and the command that makes it. Raises `InputError` for an unknown item.
+    `left_out`: only what the paper says, and the command that makes it. Raises `InputError` for an unknown item.
     """
     (item,) = choose([name])
     printed = f"**The paper:** {item.printed}"

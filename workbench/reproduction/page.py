@@ -24,7 +24,7 @@ caption { text-align: left; color: var(--soft); } th, td { padding: 0.25rem 0.8r
 
 
 def write_page(folder: str | Path) -> Path:
-    """Write `index.html` over all results in the folder, and return its path. Pictures and tables stay beside it."""
+    """Write `index.html` over all results in the folder, and return its path. Pictures and tables stay next to it."""
     sections = [_section(item, content) for item, content in results(folder)]
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8">'

@@ -109,11 +109,11 @@ def run(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> tuple[tuple[Item, bool], ...]:
-    """Remake items in `folder`, each in one of its own: figures as PNG, tables as CSV, and `result.json`.
+    """Remake items in `folder`, each in its own subfolder: figures as PNG, tables as CSV, and `result.json`.
 
     An item that has been made from the same inputs is left as it is, with `quick` also one that was made on all of the
-    data, and one that was interrupted goes on from what it had kept; items that share a folder find there what others
-    of them kept. Returns the items, and whether each was made now. Raises `OutputError` where nothing can be written.
+    data, and one that was interrupted continues from what it had kept; items that share a folder find there what the
+    others kept. Returns the items, and whether each was made now. Raises `OutputError` if nothing can be written.
     """
     folder, made = make_folder(folder), []
     for item in items:

@@ -71,11 +71,11 @@ class History(Generic[State]):
         return True
 
     def undo(self) -> str | None:
-        """Undo the last change. Returns its label, None if there is none."""
+        """Undo the last change. Returns its label; None if there is none."""
         return self._travel(self._undo, self._redo)
 
     def redo(self) -> str | None:
-        """Redo the change that was undone last. Returns its label, None if there is none."""
+        """Redo the change that was undone last. Returns its label; None if there is none."""
         return self._travel(self._redo, self._undo)
 
     def _travel(self, source: list[Step[State]], target: list[Step[State]]) -> str | None:

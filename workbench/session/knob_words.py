@@ -74,7 +74,7 @@ WORDS = {
 }
 """By path. A knob of a new term does without: it is called what its term says."""
 GROUP = Words("trust of these points", "Higher: these points pull more; 0 leaves them out.")
-OF_TERM = "Higher: this counts more beside the landmarks."
+OF_TERM = "Higher: this counts more relative to the landmarks."
 
 
 def plain_words(path: str, says: str = "") -> Words:

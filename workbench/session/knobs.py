@@ -107,7 +107,7 @@ CONSTANTS = (
     Knob(
         "constants.weighted_edges",
         "weighted edges",
-        "E_2: each edge counts as the lesser weight of its ends; off: all alike, as in the paper",
+        "E_2: each edge counts with the smaller weight of its ends; off: all alike, as in the paper",
         "switch",
     ),
 )

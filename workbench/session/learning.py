@@ -37,7 +37,7 @@ def tune_material(
 ) -> Tuned:
     """The configuration that an objective likes best, learned by gradient or searched.
 
-    Parts are frames as "0:300"; `place` keeps what `resume` goes on with; `cancelled` stops learning
+    Parts are frames as "0:300"; `place` keeps what `resume` continues from; `cancelled` stops learning
     after a step, and keeps what it had found. Raises `ConfigError` and `InputError` for
     what cannot be tuned.
     """
@@ -52,5 +52,5 @@ def tune_material(
 
 
 def _digest(clip: SweptClip) -> str:
-    """SHA-256 of what is known of a clip, so that only a tuning on the same is gone on with."""
+    """SHA-256 of what is known of a clip, so that only a tuning on the same clip is continued."""
     return hashlib.sha256(packed_clip(clip)).hexdigest()

@@ -54,7 +54,7 @@ class LiveState:
 
     config: Config
     calibration: Calibration | None
-    """On a neutral face; None: on the first second, which is no change that the user made."""
+    """On a neutral face; None: on the first second, which does not count as a change by the user."""
 
 
 @dataclass(frozen=True)
@@ -339,7 +339,8 @@ def _check_points(given: LandmarkDetector | None, model: FaceModel, config: Conf
     name = config.landmarks.detector
     if given is None and detector_scheme(name) is not model.scheme:
         raise InputError(
-            f"The detector {name!r} finds other points than this session fits, {model.scheme.name}; open another live "
+            f"The detector {name!r} finds different points from those this session fits, {model.scheme.name}; open "
+            "another live "
             "session or panel with this configuration."
         )
 

@@ -124,7 +124,7 @@ class Material:
 
     @property
     def rate(self) -> float | None:
-        """Frames per second; None where nothing tells them."""
+        """Frames per second; None if unknown."""
         return getattr(self.pictures.frames, "rate", None) or self.tracked_rate
 
     @cached_property
@@ -135,7 +135,7 @@ class Material:
 
     @cached_property
     def scheme(self) -> LandmarkScheme:
-        """What the landmarks are called; iBUG's 68 where no frame has a face."""
+        """What the landmarks are called; iBUG's 68 if no frame has a face."""
         return scheme_of_faces(item.landmarks for item in self.observations)
 
     def check(self, frame: int) -> None:

@@ -33,7 +33,7 @@ class PartFits:
         first, last = (0, count - 1) if part is None else part
         if not 0 <= first < last < count:
             raise InputError(
-                f"A part of this clip must lie within 0-{count - 1} and have at least two frames, got {first}-{last}."
+                f"A part of this clip must be within 0-{count - 1} and have at least two frames, got {first}-{last}."
             )
         return first, last
 

@@ -28,8 +28,8 @@ A_CLIP = Path("CLIP")
 def material_of_track(track: Track) -> Material:
     """The landmarks of a stored run, with its pictures if they are still there as they were tracked.
 
-    Inputs that are gone, or others by now, are none of the material's. Of several cameras the frames are those of the
-    rig's first view. Points that the run's configuration moved by hand keep those positions.
+    Inputs that are gone, or have since been replaced, are not part of the material. Of several cameras the frames are
+    those of the rig's first view. Points that the run's configuration moved by hand keep those positions.
     """
     try:
         inputs, views = tuple(reference_inputs(track.meta)), view_clips(track.meta)
@@ -74,7 +74,8 @@ def check_default_head(meta: Mapping[str, Any]) -> None:
     name = (meta.get("model") or {}).get("name", "default-head")
     if name != "default-head":
         raise InputError(
-            f"This track was fitted with the model {name}; open it from code with that one, as open_session(track, "
+            f"This track was fitted with the model {name}; open it from code with that one, for example "
+            "open_session(track, "
             "model=load_face_model(FILE)), or with model=load_default_head() to fit the default head to its landmarks."
         )
 

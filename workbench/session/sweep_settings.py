@@ -53,7 +53,9 @@ class SweepSetting:
         try:
             step = max(1, round((int(high) - int(low)) / max(count - 1, 1)))
         except ValueError:
-            raise InputError(f"{self.words} is a whole number; write its range so, got {low} to {high}.") from None
+            raise InputError(
+                f"{self.words} is a whole number; write its range in whole numbers, got {low} to {high}."
+            ) from None
         return f"{self.path}={int(low)}..{int(high)}..{step}"
 
     def matches(self, text: str) -> bool:
@@ -85,9 +87,11 @@ def found_setting(settings: tuple[SweepSetting, ...], text: str) -> SweepSetting
     if len(matching) == 1:
         return matching[0]
     if not matching:
-        raise InputError(f"No setting that can be swept has the words {text!r}; type others, such as steady or jaw.")
+        raise InputError(
+            f"No setting that can be swept matches the words {text!r}; type others, such as steady or jaw."
+        )
     listed = ", ".join(item.words for item in matching[:4]) + (" and more" if len(matching) > 4 else "")
-    raise InputError(f"{len(matching)} settings have the words {text!r}: {listed}; choose one of the list.")
+    raise InputError(f"{len(matching)} settings match the words {text!r}: {listed}; choose one of them.")
 
 
 def value_at(config: Config, path: str) -> Value | None:

@@ -52,11 +52,11 @@ class TunedConfig:
         return config
 
     def undo(self) -> str | None:
-        """Undo the last change. Returns its label, None if there is none."""
+        """Undo the last change. Returns its label; None if there is none."""
         return self._travelled(self.history.undo())
 
     def redo(self) -> str | None:
-        """Redo the change that was undone last. Returns its label, None if there is none."""
+        """Redo the change that was undone last. Returns its label; None if there is none."""
         return self._travelled(self.history.redo())
 
     def take_snapshot(self, name: str) -> None:

@@ -95,11 +95,11 @@ class TuningSession:
         return self._tuned.use(config, label, gesture)
 
     def undo(self) -> str | None:
-        """Undo the last change. Returns its label, None if there is none."""
+        """Undo the last change. Returns its label; None if there is none."""
         return self._tuned.undo()
 
     def redo(self) -> str | None:
-        """Redo the change that was undone last. Returns its label, None if there is none."""
+        """Redo the change that was undone last. Returns its label; None if there is none."""
         return self._tuned.redo()
 
     @property
@@ -261,14 +261,14 @@ class TuningSession:
         return self._whole_run().fits
 
     def sweep(self, settings: Sequence[str] | str, **options: Any) -> "workbench.sweeps.SweepResult":
-        """Try many settings around the current configuration, as `session.sweep("weights.tau=log(1e-3,10,13)")`.
+        """Try many settings around the current one, for example `session.sweep("weights.tau=log(1e-3,10,13)")`.
 
         `options`: objectives, frames (a budget), sample, seed, truth, progress, cancelled, grown; see `SessionSweeps`.
         """
         return self._work.sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
 
     def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> "workbench.learning.Tuned":
-        """What the clip chooses, as `session.tune("jitter", ["weights.tau"])`; options as in `tune_material`."""
+        """What the clip chooses, e.g. with `session.tune("jitter", ["weights.tau"])`; options as in `tune_material`."""
         return self._work.tune(self.config, objective, learn, **options)
 
     def _whole_run(self) -> "workbench.session.clip_run.Run":
@@ -347,7 +347,7 @@ def open_session(
 
     `config` is a configuration or the name of a preset; a track has its own, and a preset keeps how its points were
     found. `progress` and `seen` are as for `load_material`. Raises `InputError` and `ConfigError` if one of them cannot
-    be read, and `InputError` for a track of another model than the default head without `model`, or with `landmarks`.
+    be read, and `InputError` for a track of a model other than the default head without `model`, or with `landmarks`.
     """
     name = config if isinstance(config, str) else None
     if name is not None:

@@ -21,14 +21,14 @@ def check_axis(axis: Axis, base: Config) -> None:
         if path in BEFORE_LANDMARKS:
             raise ConfigError(
                 f"{path!r} cannot be varied: landmarks are found once per clip, before all fits; start from another "
-                "value by --preset or --config."
+                "value with --preset or --config."
             )
         if (section := path.split(".")[0]) in FIXED:
             raise ConfigError(f"{path!r} has no effect here: fits to landmarks do not read {section!r}; leave it out.")
         if path in REPLACED_BY_RIG and base.camera.rig:
-            raise ConfigError(f"{path!r} has no effect beside a rig, which holds the lens (camera.rig); leave it out.")
+            raise ConfigError(f"{path!r} has no effect with a rig, which holds the lens (camera.rig); leave it out.")
         if path in OF_FOV and base.camera.matrix is not None:
-            raise ConfigError(f"{path!r} has no effect beside a camera's matrix (camera.matrix, --rig).")
+            raise ConfigError(f"{path!r} has no effect with a camera's matrix (camera.matrix, --rig).")
 
 
 def _paths(axis: Axis) -> Iterator[str]:
@@ -49,5 +49,5 @@ def _check_presets(axis: Axis, base: Config) -> None:
         if wanted not in ("auto", given):
             raise ConfigError(
                 f"The preset {name!r} takes the landmarks of {wanted!r}, and landmarks are found once per clip, here "
-                f"by {given!r}; start from it by --preset {name}."
+                f"by {given!r}; start from it with --preset {name}."
             )

@@ -20,7 +20,7 @@ PART = 256
 
 @dataclass(frozen=True, eq=False)
 class SweptClip:
-    """The observations of a clip, with what its objectives need besides."""
+    """The observations of a clip, with what else its objectives need."""
 
     name: str
     digest: str
@@ -47,7 +47,7 @@ class SweptClip:
 def chosen_windows(shots: Sequence[range], budget: int | None) -> tuple[range, ...]:
     """The frames that are fitted, in runs inside shots: all of them, or `budget` frames spread over the clip.
 
-    Each run begins afresh, as a shot does. Raises `ConfigError` for a budget below one frame.
+    Each run starts from scratch, as a shot does. Raises `ConfigError` for a budget below one frame.
     """
     if budget is None:
         return tuple(shots)

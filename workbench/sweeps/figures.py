@@ -33,10 +33,10 @@ COLOURS = "viridis_r"
 
 @styled
 def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Sequence[str] = ()) -> Figure:
-    """Each objective over one setting: the mean over frames, and the quartiles as a band; a ring at the least mean.
+    """Each objective over one setting: the mean over frames, and the quartiles as a band; a ring at the lowest mean.
 
-    With several settings, the curve is that of the best others: the least mean at each value. Samples, which have no
-    values in common, are dots. Raises `InputError` for a sweep without settings.
+    With several settings, the curve is for the best values of the others: the lowest mean at each value. Samples, which
+    have no values in common, are dots. Raises `InputError` for a sweep without settings.
     """
     if not result.axes:
         raise InputError("A curve takes a setting, and the sweep has none.")
@@ -76,10 +76,10 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
 
 @styled
 def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, objectives: Sequence[str] = ()) -> Figure:
-    """Each objective over two settings of a grid, as a map; a ring at the least mean.
+    """Each objective over two settings of a grid, as a map; a ring at the lowest mean.
 
-    With further settings, a cell has the least mean over them. Raises `InputError` for fewer than two settings, and for
-    samples, which have no values in common.
+    With further settings, a cell has the lowest mean over them. Raises `InputError` for fewer than two settings, and
+    for samples, which have no values in common.
     """
     if len(result.axes) < 2:
         raise InputError(f"A map takes two settings, the sweep has {len(result.axes)}.")
@@ -125,9 +125,10 @@ def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, obje
 
 @styled
 def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
-    """Every point as a line through its settings and its objectives; the tenth with least of `wanted` in orange.
+    """Every point as a line through its settings and its objectives; the tenth with the lowest `wanted` in orange.
 
-    Logarithmic settings are drawn so; objectives from their least at the bottom to their most at the top.
+    Logarithmic settings have logarithmic axes; objectives go from their minimum at the bottom to their maximum at the
+    top.
     """
     wanted = wanted or result.objectives[0]
     means = {name: result.means(name) for name in result.objectives}
@@ -154,7 +155,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     area.set_ylim(-0.02, 1.02)
     area.set_xlim(-0.4, len(scales) - 0.6)
     area.spines[:].set_visible(False)
-    area.set_title(f"orange: the tenth of the points with the least {wanted}", fontsize=10, loc="left", pad=22)
+    area.set_title(f"orange: the tenth of the points with the lowest {wanted}", fontsize=10, loc="left", pad=22)
     figure.tight_layout()
     return figure
 
@@ -163,7 +164,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
 def pareto_figure(
     result: SweepResult, across: str = "error", up: str = "jitter", colour: str | None = "iterations"
 ) -> Figure:
-    """Two objectives against each other, the colour a third; ringed and joined: what no other point beats in both.
+    """Two objectives against each other, the colour a third; ringed and joined: points that no other beats in both.
 
     Points that are unbeaten in all three, but not in the two, have a thin ring.
     """
@@ -188,9 +189,9 @@ def pareto_figure(
     area.tick_params(labelsize=9)
     area.margins(0.08)
     without_frame(area)
-    title = [f"what no other point beats in {across} and {up}", *named]
+    title = [f"points that no other beats in {across} and {up}", *named]
     if third is not None and len(unbeaten) > len(front):
-        title.append(f"thin ring: beaten in these two, but not with {colour} besides")
+        title.append(f"thin ring: beaten in these two, but not with {colour} as well")
     area.set_title("\n".join(title), fontsize=9, loc="left")
     figure.tight_layout()
     return figure

@@ -1,4 +1,4 @@
-"""What a sweep found: a number a frame for every objective, point and clip, and the tables of them."""
+"""What a sweep found: one number per frame for every objective, point and clip, and the tables of them."""
 
 import csv
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -47,9 +47,12 @@ class SweepResult:
         return tuple(dict.fromkeys(clip for _, clip in self.values))
 
     def config(self, number: int | None) -> Config:
-        """The configuration of a point. Raises `InputError` where none was chosen, as `best` and `steadiest` may."""
+        """The configuration of a point.
+
+        Raises `InputError` if none was chosen, as can happen with `best` and `steadiest`.
+        """
         if number is None:
-            raise InputError("No point of the sweep was chosen: none has a value of what it is chosen by.")
+            raise InputError("No point of the sweep was chosen: none has a value of the objective that chooses.")
         return config_at(self.base, self.points[number])
 
     def frames(self, objective: str, number: int) -> Float[np.ndarray, "n"]:
@@ -82,8 +85,7 @@ class SweepResult:
         return {name: drawn_means(values, draws=SURE_DRAWS) for name, values in rows.items()}
 
     def means(self, objective: str) -> Float[np.ndarray, "p"]:
-        """The mean of an objective over all frames at each point; NaN where none is known, and at a point that lacks a
-        clip which others have."""
+        """The mean of an objective over all frames at each point; NaN if none is known or a clip is missing there."""
         return np.array([_mean(frames) for frames in self._compared(objective)])
 
     def bands(self, objective: str) -> Float[np.ndarray, "p 2"]:
@@ -92,15 +94,15 @@ class SweepResult:
         return np.array([np.percentile(each, BAND) if len(each) else (np.nan, np.nan) for each in found])
 
     def best(self, wanted: WeightedSum | str) -> int | None:
-        """The number of the point with the least mean of an objective or a sum; None if nothing is known of it."""
+        """The number of the point with the lowest mean of an objective or a sum; None if it has no value."""
         return least(wanted)({name: self.means(name) for name in self.objectives})
 
     def steadiest(self, slack: float = SLACK) -> int | None:
-        """The point with the least jitter among those within `slack` of the least error; None without either."""
+        """The point with the lowest jitter among those within `slack` of the lowest error; None without either."""
         return steadiest(slack)({name: self.means(name) for name in self.objectives})
 
     def interval(self, axis: Axis, rule: Rule) -> tuple[float, float] | None:
-        """How sure a choice is: in 95 % of the bootstrap's draws of frames, its value of a setting lies between these.
+        """How certain a choice is: in 95 % of the bootstrap's draws of frames, its value of a setting is between these.
 
         None without a choice, and for settings that are not numbers.
         """
@@ -136,7 +138,7 @@ class SweepResult:
         return columns
 
     def write_csv(self, path: str | Path) -> None:
-        """`table` as CSV; a cell that is not known is empty."""
+        """`table` as CSV; an unknown cell is empty."""
         columns = self.table()
         with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream, lineterminator="\n")
@@ -163,7 +165,7 @@ class SweepResult:
 
 
 def least(wanted: WeightedSum | str) -> Rule:
-    """The least mean of an objective or a sum. The rule raises `InputError` where one of them was not measured."""
+    """The lowest mean of an objective or a sum. The rule raises `InputError` if one of them was not measured."""
     wanted = WeightedSum({wanted: 1.0}) if isinstance(wanted, str) else wanted
 
     def rule(means: Means) -> int | None:
@@ -176,7 +178,7 @@ def least(wanted: WeightedSum | str) -> Rule:
 
 
 def steadiest(slack: float = SLACK) -> Rule:
-    """The least jitter at equal error."""
+    """The lowest jitter at equal error."""
 
     def rule(means: Means) -> int | None:
         known = {"error", "jitter"} <= set(means)
@@ -186,8 +188,9 @@ def steadiest(slack: float = SLACK) -> Rule:
 
 
 def nearest(distances: Float[np.ndarray, "p"], wanted: str, slack: float = SLACK) -> Rule:
-    """The point at the least distance among those within `slack` of the least `wanted`: with distances from present
-    values, a change goes as far as it pays."""
+    """The nearest point among those within `slack` of the lowest `wanted`: with distances from present values, a change
+    goes only as far as it pays.
+    """
     return lambda means: least_at_equal(distances, means[wanted], slack)
 
 

@@ -167,7 +167,8 @@ class ClipSolver:
         self, config: Config, clip: SweptClip, windows: Sequence[range], kinds: tuple[str, ...] = ()
     ) -> Iterator[tuple[ChainJob, Float[np.ndarray, "i"]]]:
         """What is solved for some windows of a clip, with the identity of each: first with everything seen, then what
-        the folds see; a job a window. Raises `ConfigError` for a configuration that no batch can solve."""
+        the folds see; one job per window. Raises `ConfigError` for a configuration that no batch can solve.
+        """
         setting = setting_of(config, clip.scheme)
         ends, starts = np.cumsum([*map(len, windows)]), [shot.start for shot in clip.shots]
         for fold in folds_of(kinds, int(ends[-1]), clip.scheme):
@@ -343,7 +344,7 @@ def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:
 
 
 def _at_rest(shapes: int) -> ChainState:
-    """The state before the first frame, which starts afresh whatever it is."""
+    """The state before the first frame, which starts from scratch whatever it is."""
     parameters = FaceParameters(*(jnp.zeros((CHAINS, size)) for size in (3, 3, shapes, 0, 0, 0)))
     pose = jnp.zeros((CHAINS, 6))
     return ChainState(parameters, pose, pose, jnp.zeros(CHAINS, int))

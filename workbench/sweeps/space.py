@@ -49,7 +49,7 @@ class Axis:
         return all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values)
 
     def at(self, share: float) -> Any:
-        """The value at a share of the axis, from 0 to 1."""
+        """The value at a fraction of the axis, from 0 to 1."""
         if self.between is None:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         first, last = self.between
@@ -60,7 +60,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How points are chosen: all of the grid, or so many samples."""
+    """How points are chosen: all of the grid, or a number of samples."""
 
     kind: Literal["grid", "random", "sobol"] = "grid"
     count: int = 0
@@ -94,7 +94,9 @@ def read_axis(text: str) -> Axis:
     if whole := _WHOLE.fullmatch(values):
         first, last, step = int(whole["first"]), int(whole["last"]), int(whole["step"] or 1)
         if step < 1 or last < first or (last - first) // step >= MOST_VALUES:
-            raise ConfigError(f"{text}: the range is empty; write FIRST..LAST with FIRST below LAST, as 1..30.")
+            raise ConfigError(
+                f"{text}: the range is empty; write FIRST..LAST with FIRST below LAST, for example 1..30."
+            )
         return Axis(path, tuple(range(first, last + 1, step)), "whole")
     if _RANGE.match(values):
         raise ConfigError(f"{text}: FIRST..LAST..STEP is for whole numbers; write others as lin(0.5,3,6).")
@@ -115,7 +117,7 @@ def _scale(path: str, scale: str, numbers: str, text: str) -> Axis:
             f"{text}: the range is empty; write {scale}(FIRST,LAST,COUNT), FIRST below LAST, COUNT above 1."
         )
     if scale == "log" and first <= 0.0:
-        raise ConfigError(f"{text}: a logarithmic scale begins above 0, got {first:g}.")
+        raise ConfigError(f"{text}: a logarithmic scale starts above 0, got {first:g}.")
     spaced = np.geomspace if scale == "log" else np.linspace
     values = () if count is None else tuple(float(value) for value in spaced(first, last, count))
     return Axis(path, values, scale, (first, last))

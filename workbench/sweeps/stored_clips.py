@@ -58,7 +58,7 @@ class ClipSource:
 
     @property
     def local(self) -> "ClipSource":
-        """The same by paths; what URLs name is fetched. Raises `InputError` for what cannot be."""
+        """The same by paths; what URLs name is fetched. Raises `InputError` if something cannot be fetched."""
         return self._placed(lambda place: str(local_file(place)) if place else "")
 
     def _placed(self, place_of: Callable[[str], str]) -> "ClipSource":
@@ -123,7 +123,7 @@ def _detector_of(source: ClipSource, config: Config) -> str:
 
 
 def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = "") -> SweptClip:
-    """Find the landmarks of every frame of a `local` clip, and what the objectives need besides.
+    """Find the landmarks of every frame of a `local` clip, and what else the objectives need.
 
     Raises `InputError` for a clip that cannot be read, that has no face, or whose motion is asked for without pictures.
     """
@@ -236,7 +236,7 @@ def sources_of(
 ) -> tuple[ClipSource, ...]:
     """The sources of some clips; landmarks, truths and views are given for all of them in their order, or for none.
 
-    `views` are names and clips of a second camera in the rig. Raises `InputError` for another number of them, for
+    `views` are names and clips of a second camera in the rig. Raises `InputError` for a different number of them, for
     views without a rig or a rig without views, and for no clip.
     """
     if not clips:
@@ -245,7 +245,7 @@ def sources_of(
         if given and len(given) != len(clips):
             raise InputError(f"There are {len(clips)} clips and {len(given)} {what}; give one for each clip, in order.")
     if bool(views) != bool(rig):
-        raise InputError("A second camera is its clip and the rig that both belong to; give --view and --rig.")
+        raise InputError("A second camera needs its clip and the rig of both; give --view and --rig.")
     return tuple(
         ClipSource(
             clip,
@@ -260,7 +260,7 @@ def sources_of(
 
 
 def check_sources(sources: Sequence[ClipSource], objectives: Iterable[str]) -> None:
-    """Raise `InputError` where an objective looks at a truth or a second camera and a clip has none."""
+    """Raise `InputError` if an objective needs a truth or a second camera and a clip has none."""
     for name in objectives:
         needs = objective(name).needs
         if needs not in (None, "flow") and not all(

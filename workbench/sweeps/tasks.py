@@ -100,7 +100,7 @@ class FitTask:
 
 
 def config_of(text: str) -> Config:
-    """The configuration of its JSON."""
+    """The configuration from its JSON."""
     return parse_config(json.loads(text), "a sweep's task")
 
 
@@ -115,8 +115,8 @@ def solver_of(model: ModelSource) -> ClipSolver:
     found = _face_model(model.place)
     if found.fingerprint() != model.fingerprint:
         raise InputError(
-            f"{model.place or 'The default head'} is another face model than the sweep began with; give all machines "
-            "the same file and the same version of the workbench, and go on by --resume."
+            f"{model.place or 'The default head'} is not the face model that the sweep started with; give all machines "
+            "the same file and the same version of the workbench, and continue with --resume."
         )
     return ClipSolver(found)
 

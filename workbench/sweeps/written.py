@@ -1,4 +1,4 @@
-"""What a sweep leaves in its folder besides the results: tables, figures, the best configuration."""
+"""What a sweep leaves in its folder in addition to the results: tables, figures, the best configuration."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatch
@@ -21,8 +21,8 @@ TABLE, BEST = "table.csv", "best.toml"
 def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | None = None) -> tuple[str, ...]:
     """Write the tables, the figures and the best configuration; returns the names of the files.
 
-    `wanted` is what the best point has least of; None: the first objective. `table.parquet` comes with pyarrow. Raises
-    `OutputError` for a place that takes no more.
+    `wanted` is what the best point minimises; None: the first objective. `table.parquet` needs pyarrow. Raises
+    `OutputError` if nothing more can be written there.
     """
     if not is_url(str(place)):
         there = [path.name for path in make_folder(place).iterdir()]

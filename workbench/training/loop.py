@@ -262,8 +262,8 @@ def checked_plan(
         plan = replace(plan, start=hashlib.sha256(start.read_bytes()).hexdigest())
     if (folder / PLAN_FILE).is_file() and not _follows(plan, read_plan(folder / PLAN_FILE)):
         raise InputError(
-            f"{folder} holds a training with other options (--quick, --start, --device); repeat those, name another "
-            "folder, or discard it by --overwrite."
+            f"{folder} holds a training with other options (--quick, --start, --device); use those again, name another "
+            "folder, or discard it with --overwrite."
         )
     return plan
 
@@ -394,7 +394,7 @@ def _single_threaded(_worker: int) -> None:
 
 
 def _checkpoint(path: Path, device: str | torch.device) -> dict[str, Any]:
-    with reading(path, "a training's checkpoint", "add --overwrite to train anew; the pool stays"):
+    with reading(path, "a training's checkpoint", "add --overwrite to train again; the pool is kept"):
         return torch.load(path, map_location=device, weights_only=True)
 
 

@@ -56,7 +56,7 @@ class Training:
         if not start:
             return self.quick if quick else on_gpu or self.whole
         if quick or not self.further:
-            raise InputError(f"{'a quick run' if quick else 'this training'} starts from nothing: leave out --start")
+            raise InputError(f"{'a quick run' if quick else 'this training'} starts from scratch: leave out --start")
         return replace(on_gpu or self.further, start=start)
 
     def check(self, recipe: AnyRecipe, device: str) -> None:

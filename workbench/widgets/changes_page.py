@@ -54,7 +54,7 @@ def changes_html(session: TuningSession) -> str:
     changes, unsaved = session.changes(), {item.path for item in session.unexported}
     rows = "".join(f"<li>{html.escape(change_words(item))}</li>" for item in changes)
     count = sum(item.path in unsaved for item in changes)
-    told = f"{count} of them not saved yet." if count else "The saved settings are others." if unsaved else ""
+    told = f"{count} of them not saved yet." if count else "The saved settings are different." if unsaved else ""
     return (
         f"<b>Changed since the start</b><ul style='margin:2px 0;padding-left:18px'>{rows or '<li>nothing</li>'}</ul>"
         f"{told}"

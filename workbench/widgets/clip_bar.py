@@ -37,7 +37,7 @@ class ClipBar:
         self.run_clip = small_button("fit clip", "fit all frames with these settings")
         self.run_clip.on_click(lambda _button: self._worker.submit("run"))
         self.follow = toggle("auto", "fit the whole clip after each change", len(session) <= LIVE_CLIP_FRAMES)
-        self.cancel = small_button("cancel", "stop fitting; the last complete run stays")
+        self.cancel = small_button("cancel", "stop fitting; the last complete run is kept")
         self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
         self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
         self.said = widgets.HTML()

@@ -1,4 +1,4 @@
-"""The button that hands a written file to the browser, for those who sit at another computer than Python."""
+"""The button that hands a written file to the browser, for those who sit at a different computer from Python's."""
 
 from collections.abc import Callable
 from pathlib import Path

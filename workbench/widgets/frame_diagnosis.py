@@ -45,7 +45,7 @@ class FrameDiagnosis:
         if not self._status.guarded(self._session.apply, change, self._frame()):
             return None
         if self._session.undo_steps == before:
-            self._status.say("The settings have this change already.")
+            self._status.say("The settings already have this change.")
             return None
         self._answered.append(fits_key(self._session.config))
         self.show_config()

@@ -67,8 +67,8 @@ class SessionOpener(widgets.VBox):
     """Opens a session from a sample or a path and shows `make_panel(session)` below the chooser.
 
     Opening runs in its own thread; a newer choice cancels an older one, and the previous panel is closed. Where that
-    would lose work, it stays until the button `anyway` is pressed. An error is shown as one sentence below the chooser
-    and leaves the open panel. `session` and `panel` are None until something is open.
+    would lose work, it stays until the button `anyway` is pressed. An error is shown as one sentence below the chooser;
+    the open panel stays. `session` and `panel` are None until something is open.
     """
 
     def __init__(self, make_panel: Callable[[TuningSession], widgets.Widget] = TuningPanel) -> None:

@@ -114,7 +114,7 @@ def fit_table(
 
 
 def read_event(content: object, count: int = len(IBUG68)) -> OverlayEvent | None:
-    """The event in a message from a browser about so many landmarks; None if it is not one."""
+    """The event in a message from a browser about this many landmarks; None if it is not one."""
     if not isinstance(content, dict) or content.get("kind") not in KINDS:
         return None
     points, place = content.get("points"), (content.get("x"), content.get("y"))

@@ -131,8 +131,8 @@ FW_AT
 .fw-panel .fw-unloaded { max-height: 0; margin: 0; overflow: hidden; animation: fw-late 0s linear 20s forwards; }
 @keyframes fw-late { to { max-height: 140px; } }
 </style>"""
-UNLOADED = """<b>The picture and the head have not come.</b> This front end has not loaded the programs of the package
-anywidget. In VS Code, let <code>jupyter.widgetScriptSources</code> name a source; in Colab, run
+UNLOADED = """<b>The picture and the head have not appeared.</b> This front end has not loaded the programs of the
+package anywidget. In VS Code, let <code>jupyter.widgetScriptSources</code> name a source; in Colab, run
 <code>from google.colab import output; output.enable_custom_widget_manager()</code>; then run this cell again. Or see
 the same session without them: <code>from workbench.widgets import PlainPanel; PlainPanel(session)</code>."""
 

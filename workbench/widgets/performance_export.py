@@ -78,7 +78,7 @@ class PerformanceExport:
         )
         shots = {"all shots": ALL_SHOTS} | {f"shot {k}": k for k in range(len(session.material.shots))}
         self.shot = menu(shots, "92px", "frames of one shot only (--shot)")
-        self.fps = widgets.Text(placeholder="input's fps", tooltip="frames per second in place of the input's (--fps)",
+        self.fps = widgets.Text(placeholder="input's fps", tooltip="frames per second instead of the input's (--fps)",
                                 layout=widgets.Layout(width="84px"))  # fmt: skip
         self.go = small_button("export", "write this file", "primary")
         self.go.on_click(lambda _button: self._on_go())

@@ -88,7 +88,7 @@ class FitPlayground(widgets.VBox):
         self._panel: HeadPanel | None = None  # nothing to free until it is made
         if not config.traits.real_time:
             raise InputError(
-                f"{config.traits.title} takes seconds per fit, which no slider can wait for; use one of "
+                f"{config.traits.title} takes seconds per fit, which is too slow for sliders; use one of "
                 f"{', '.join(FACE_IT_PRESETS)}."
             )
         self._picture, self._model, self._start, self._base = picture, model, config, config

@@ -226,7 +226,9 @@ def landmarks_text(landmarks: dict[str, float]) -> str:
 def read_landmarks(text: str) -> dict[str, float]:
     """Groups and weights of a text like "all 1, jaw 0.25". Raises `ConfigError` for anything else."""
     if re.search(r"\d,\d", text):  # jaw 0 and point 25, or a decimal comma
-        raise ConfigError(f"Write weights with a point, as 'jaw 0.25', and a space after each comma, got {text!r}.")
+        raise ConfigError(
+            f"Write weights with a decimal point, for example 'jaw 0.25', and a space after each comma, got {text!r}."
+        )
     found = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, weight = part.rpartition(" ")

@@ -22,7 +22,7 @@ from workbench.widgets.status_line import StatusLine
 from workbench.widgets.sweep_view import SweepView
 
 CHEAP = ("error", "jitter", "iterations")
-"""Objectives that cost nothing besides the fits: they are measured each time, so that one can look at the others."""
+"""Objectives that cost nothing beyond the fits: they are measured each time, so that one can look at the others."""
 FRAMES, VALUES, VALUES_OF_SECOND = 60, 15, 7
 CONTROLS_PX = 578
 CHANGED = "<span style='opacity:.7'>Other settings have changed since then; run it again.</span>"
@@ -54,7 +54,12 @@ class SweepPage(widgets.HBox):
         self._began, self._chosen, self._warmed = 0.0, False, False
         self.said, self.note = StatusLine(), widgets.HTML()
         self._jobs: PageWork[Asked | str] = PageWork(
-            self._work, self.said, give_way, "panel-sweep", "stop; what is known stays", "Stopped; what is known stays."
+            self._work,
+            self.said,
+            give_way,
+            "panel-sweep",
+            "stop; results so far are kept",
+            "Stopped; results so far are kept.",
         )
         self.stop, self.progress = self._jobs.stop, self._jobs.progress
         self.view = SweepView(height_px - 12)
@@ -131,7 +136,7 @@ class SweepPage(widgets.HBox):
     def _build_controls(self) -> None:
         self.first = SettingRange(
             "setting to sweep: type words such as steady or lens; until then, the slider that was moved last",
-            "search a setting to sweep", VALUES, self.said.failed,
+            "search for a setting to sweep", VALUES, self.said.failed,
         )  # fmt: skip
         self.second = SettingRange(
             "a second setting makes a map; empty: a curve", "and a second one: a map", VALUES_OF_SECOND,
@@ -189,7 +194,7 @@ class SweepPage(widgets.HBox):
         point = self.result.points[number]
         told = point_words(point, self._settings)
         self._session.use(config_at(self._session.config, point), f"sweep: {told}")
-        self.said.say(f"Took {told}; undo brings back what was there.")
+        self.said.say(f"Took {told}; undo brings back the previous settings.")
 
     # --- work, in the thread of the page ---
 
@@ -242,7 +247,7 @@ def conclusion(result: SweepResult, objective: str, settings: tuple[SweepSetting
     """The lowest value of an objective and where it is, in a sentence."""
     best, row = result.best(objective), TABLE[objective]
     if best is None:
-        return f"Nothing is known of {objective} on these frames; take more of them."
+        return f"{objective} has no value on these frames; use more of them."
     lowest = f"{result.means(objective)[best]:.3g} {row.unit}".strip()
     return f"Lowest {objective}: {lowest}, at {point_words(result.points[best], settings)}. Click a point to take it."
 

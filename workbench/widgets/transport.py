@@ -31,7 +31,7 @@ class Transport:
             button.on_click(lambda _button, by=by: step(by))
         parts = [group(*self.steps.values(), name="fw-steps")]
         if part is not None:
-            self.speed = menu(SPEEDS, "58px", "speed of playing", 1.0)
+            self.speed = menu(SPEEDS, "58px", "playback speed", 1.0)
             self.speed.observe(lambda _change: self._show_speed(), "value")
             self._show_speed()
             self.first = small_button("[", "first frame to play and to work on: this one (I)")

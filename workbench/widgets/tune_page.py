@@ -55,7 +55,7 @@ class TunePage(widgets.HBox):
         self._values: list[tuple[float, float]] = []
         self.said, self.words = StatusLine(), classed(StatusLine(), "fw-meaning")
         self._jobs: PageWork[Asked] = PageWork(
-            self._work, self.said, give_way, "panel-tune", "stop; the best so far is judged"
+            self._work, self.said, give_way, "panel-tune", "stop; the best so far is evaluated"
         )
         self.stop, self.progress = self._jobs.stop, self._jobs.progress
         self.chart = ChartView(height_px=height_px - 38, title="")
@@ -108,7 +108,7 @@ class TunePage(widgets.HBox):
     def _build_controls(self) -> None:
         self.objective = widgets.Combobox(
             value=OBJECTIVES[0], options=OBJECTIVES, continuous_update=False, layout=widgets.Layout(width="150px"),
-            tooltip="what the clip minimises; sums too, as jitter + 0.5*error",
+            tooltip="what to minimise; also a sum, for example jitter + 0.5*error",
         )  # fmt: skip
         self.objective.observe(lambda _change: self.said.guarded(self._explain), "value")
         self.learn = {
@@ -118,13 +118,13 @@ class TunePage(widgets.HBox):
         first, last = usual_parts(len(self._session))
         self.train = _field(first, "first and last frame that it learns on")
         self.held_out = _field(last, "first and last frame that it does not learn on: the first half chooses the "
-                               "step that is kept, the second half reports")  # fmt: skip
+                               "step that is kept, the second half gives the reported error")  # fmt: skip
         self.steps = widgets.BoundedIntText(
             STEPS, min=1, max=MOST_STEPS, tooltip="steps along the gradient", layout=widgets.Layout(width="56px")
         )
         self.go = small_button("tune", "follow the gradient through the solver", "primary")
         self.go.on_click(lambda _button: self.run())
-        self.take = small_button("take", "use what was learned; undo brings back what was there", "success")
+        self.take = small_button("take", "use what was learned; undo brings back the previous settings", "success")
         self.take.on_click(lambda _button: self.said.guarded(self._take))
         self.discard = small_button("discard", "forget it; nothing changes")
         self.discard.on_click(lambda _button: self._discard())
@@ -152,7 +152,7 @@ class TunePage(widgets.HBox):
     def _take(self) -> None:
         changes = learned_changes(self.result)
         self._session.set(f"tuned: {self.result.config.provenance.objective}", **changes)
-        self.said.say("Taken; undo brings back what was there.")
+        self.said.say("Taken; undo brings back the previous settings.")
         self._show_result(None)
 
     def _discard(self) -> None:
@@ -207,8 +207,8 @@ def usual_parts(frames: int) -> tuple[str, str]:
 def parts_texts(train: str, held_out: str) -> dict[str, str]:
     """FIRST:END of the parts by name, from first and last frames as 0-99.
 
-    Of the frames held out, the first half chooses the step that is kept and the second half reports. Raises
-    `InputError` for anything else.
+    Of the frames held out, the first half chooses the step that is kept and the second half gives the reported error.
+    Raises `InputError` for anything else.
     """
     (first, last), (start, end) = _part(train), _part(held_out)
     middle = (start + end + 1) // 2

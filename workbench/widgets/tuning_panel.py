@@ -49,7 +49,7 @@ class TuningPanel(LateParts):
 
     Callbacks submit requests to a worker, and only the latest counts; results are shown from its thread. Scripts and
     tests wait for it with `wait_idle`. It is as high as the window, at least `LOWEST_PX`.
-    In a notebook it begins as the first frame alone.
+    In a notebook it starts as the first frame alone.
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
@@ -78,7 +78,7 @@ class TuningPanel(LateParts):
             self._worker.submit(Show(frame))
 
     def step(self, by: int) -> None:
-        """Go one frame (±1), or one flagged frame (±2), forth or back."""
+        """Go one frame (±1), or one flagged frame (±2), forward or back."""
         self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
 
     def turn(self, path: str, value: Any) -> None:

@@ -1,4 +1,4 @@
-"""A photo or clip sent by the browser, for those who sit at another computer than Python."""
+"""A photo or clip sent by the browser, for those who sit at a different computer from Python's."""
 
 import os
 import tempfile

@@ -89,7 +89,7 @@ class Waiting(widgets.HBox):
         self._took: dict[str, float] = {}
         self._lock, self._number = threading.RLock(), 0
         self.said = widgets.HTML()
-        self.cancel = small_button("cancel", "stop this; what was done before stays")
+        self.cancel = small_button("cancel", "stop this; results so far are kept")
         self.cancel.layout.display = "none"
         self.cancel.on_click(lambda _button: self.stop())
         super().__init__([self.said, self.cancel])

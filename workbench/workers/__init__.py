@@ -1,4 +1,4 @@
-"""Who does tasks: this process, a pool of processes, a Dask cluster. The results are the same."""
+"""What does tasks: this process, a pool of processes, a Dask cluster. The results are the same."""
 
 import lazy_loader
 

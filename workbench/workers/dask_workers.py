@@ -62,8 +62,8 @@ class DaskWorkers:
             self._client = Client(self._cluster or scheduler, timeout=REACH_S, set_as_default=False)
         except (OSError, ValueError, ImportError) as error:
             raise InputError(
-                f"The scheduler {scheduler} cannot be reached ({reason_of(error)}); start one by `dask scheduler` and "
-                "workers by `dask worker`, or leave --scheduler out."
+                f"The scheduler {scheduler} cannot be reached ({reason_of(error)}); start one with `dask scheduler` "
+                "and workers with `dask worker`, or leave --scheduler out."
             ) from error
         self._do: tuple[Do | None, Any] = (None, None)
         self.said = f"Dask dashboard: {self._client.dashboard_link}"
@@ -135,13 +135,13 @@ class DaskWorkers:
         if time.monotonic() - before_s > AWAY_S:
             raise LostSchedulerError(
                 f"The workers are gone, and none has come back for {AWAY_S:.0f} s. Finished work is kept; free some "
-                "memory and go on with --resume."
+                "memory and continue with --resume."
             )
         return before_s
 
     def _lost(self) -> LostSchedulerError:
         return LostSchedulerError(
-            f"The scheduler {self.address} is gone. Finished work is kept; start it again and go on with --resume."
+            f"The scheduler {self.address} is gone. Finished work is kept; start it again and continue with --resume."
         )
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ class Workers(Protocol):
     """Does tasks in any order."""
 
     said: str
-    """What a user should know, as the address of a dashboard; empty: nothing."""
+    """What a user should know, such as the address of a dashboard; empty: nothing."""
 
     @property
     def count(self) -> int:
@@ -26,7 +26,7 @@ class Workers(Protocol):
     def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
         """The number of each task with its result, as they are done; what fails has a `Failed` for a result.
 
-        Raises `LostSchedulerError` where the workers cannot be reached any more.
+        Raises `LostSchedulerError` if the workers cannot be reached any more.
         """
 
     def close(self) -> None:
@@ -34,9 +34,9 @@ class Workers(Protocol):
 
 
 def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto") -> Workers:
-    """So many workers on this machine, or those of a Dask scheduler.
+    """This many workers on this machine, or those of a Dask scheduler.
 
-    On this machine they are a Dask cluster where `distributed` is installed, else a pool; `kind` chooses. Raises
+    On this machine they are a Dask cluster if `distributed` is installed, else a pool; `kind` chooses. Raises
     `ConfigError` for a scheduler with a pool, `MissingDependencyError` without the extra, `InputError` for a scheduler
     that cannot be reached.
     """
@@ -53,7 +53,7 @@ def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto
 
 @contextmanager
 def working(workers: int | Workers) -> Iterator[Workers]:
-    """Workers for a block of code: those that are given, or so many on this machine, which end with the block."""
+    """Workers for a block of code: those that are given, or this many on this machine, which end with the block."""
     if not isinstance(workers, int):
         yield workers
         return

@@ -34,12 +34,12 @@ class Failed:
 
 
 def run(task: Any) -> Any:
-    """The result of a task that knows itself how it is done."""
+    """The result of a task that can do itself."""
     return task.run()
 
 
 def guarded(do: Do, task: Task) -> Any:
-    """The result of a task, or in one sentence why there is none."""
+    """The result of a task, or one sentence that says why there is none."""
     try:
         return do(task)
     except (OutputError, MissingDependencyError) as error:

@@ -53,7 +53,7 @@ def is_flame(arrays: dict[str, Any]) -> bool:
 def flame_model(
     path: Path, arrays: dict[str, Any], identity: int | None, expressions: int | None, embeddings: list[Path]
 ) -> RawModel:
-    """FLAME as it is stored, with at most so many components. Raises `ModelError` where parts are missing."""
+    """FLAME as it is stored, with at most this many components. Raises `ModelError` if parts are missing."""
     vertices = array_of(arrays, "v_template", path).astype(float)
     triangles = whole_numbers(path, "f", array_of(arrays, "f", path))
     directions = array_of(arrays, "shapedirs", path)

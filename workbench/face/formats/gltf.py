@@ -88,7 +88,9 @@ def _joined(path: Path, parts: list[_Part], eyes: dict[str, np.ndarray]) -> RawM
     vertices = np.concatenate([part.vertices for part in parts])
     triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)])
     if len(names) * vertices.nbytes > MOST_UNPACKED_BYTES:
-        raise ModelError(f"{path}: {len(names)} morph targets of {len(vertices)} vertices are beyond 2 GB; cut them.")
+        raise ModelError(
+            f"{path}: {len(names)} morph targets of {len(vertices)} vertices are beyond 2 GB; reduce them."
+        )
     deltas = np.zeros((len(names), len(vertices), 3))
     for part, start in zip(parts, starts, strict=False):
         for name, target in part.targets.items():
@@ -274,7 +276,7 @@ class _Document:
             index, parent = waiting.popleft()
             node = self._entry("nodes", index)
             if index in found:
-                raise ModelError(f"{self._path}: node {index} hangs below two nodes; the file is damaged.")
+                raise ModelError(f"{self._path}: node {index} has two parents; the file is damaged.")
             local = _local_matrix(node)
             if index in straightened:
                 local[:3, :3] = _straightened(local[:3, :3])
@@ -311,7 +313,9 @@ class _Document:
         """Count what is read: a few bytes of JSON may ask for the same array again and again."""
         self._read_bytes, self._read_count = self._read_bytes + size, self._read_count + 1
         if self._read_bytes > MOST_UNPACKED_BYTES or self._read_count > MOST_READ:
-            raise ModelError(f"{self._path}: its accessors ask for more than 2 GB or {MOST_READ} arrays; cut the file.")
+            raise ModelError(
+                f"{self._path}: its accessors ask for more than 2 GB or {MOST_READ} arrays; reduce the file."
+            )
 
     def _view(self, index: Any, offset: Any, dtype: np.dtype, width: int, count: int) -> np.ndarray:
         view = self._entry("bufferViews", index)
@@ -321,7 +325,7 @@ class _Document:
         size = dtype.itemsize * width
         stride = _natural(view.get("byteStride", size))
         if stride < size:
-            raise ValueError(f"entries of {size} bytes stand {stride} bytes apart")
+            raise ValueError(f"entries of {size} bytes are {stride} bytes apart")
         if count and (offset + (count - 1) * stride + size > length or start + length > len(data)):
             raise ModelError(f"{self._path}: an accessor reaches beyond its buffer; the file is cut off or damaged.")
         rows = np.frombuffer(data, np.uint8, count=(count - 1) * stride + size, offset=start + offset) if count else b""
@@ -336,7 +340,9 @@ class _Document:
             return base64.b64decode(uri.split(",", 1)[1])
         path = (self._path.parent / unquote(uri)).resolve()
         if not path.is_relative_to(self._path.parent.resolve()) or not path.is_file():
-            raise ModelError(f"{self._path} needs {shortened(uri)} beside it; copy the whole folder, or export a .glb.")
+            raise ModelError(
+                f"{self._path} needs {shortened(uri)} next to it; copy the whole folder, or export a .glb."
+            )
         return checked_content(path, "a buffer of glTF", ModelError)
 
 

@@ -24,7 +24,7 @@ def is_gnm(arrays: dict[str, Any]) -> bool:
 
 
 def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressions: int | None) -> RawModel:
-    """GNM Head with at most so many components. Raises `ModelError` where parts are missing."""
+    """GNM Head with at most this many components. Raises `ModelError` if parts are missing."""
     vertices = array_of(arrays, "template_vertex_positions", path).astype(float)
     triangles = whole_numbers(path, "triangles", array_of(arrays, "triangles", path))
     people = array_of(arrays, "vertex_identity_basis", path)

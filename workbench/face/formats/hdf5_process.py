@@ -46,7 +46,7 @@ def _entry(stored: h5py.File, key: str) -> h5py.Dataset | None:
     steps, followed = key.split("/"), 0
     while steps:
         if not isinstance(entry, h5py.Group):
-            raise ValueError(f"{key} lies in something that is not a group")
+            raise ValueError(f"{key} is in something that is not a group")
         name = steps.pop(0)
         link = entry.get(name, getlink=True)
         if link is None:
@@ -82,11 +82,11 @@ def _value(key: str, entry: h5py.Dataset, most_bytes: int, file_size: int) -> np
 def _check_origin(key: str, entry: h5py.Dataset) -> None:
     """Raise ValueError for numbers that lie elsewhere or are packed by something unknown."""
     if entry.is_virtual or entry.external:
-        raise ValueError(f"{key} lies in another file")
+        raise ValueError(f"{key} is in another file")
     creation = entry.id.get_create_plist()
     used = [creation.get_filter(number)[0] for number in range(creation.get_nfilters())]
     if unknown := [number for number in used if number not in FILTERS]:
-        raise ValueError(f"{key} is packed by the unknown filter {unknown[0]}")
+        raise ValueError(f"{key} is compressed by the unknown filter {unknown[0]}")
 
 
 def _limit_memory(most_bytes: int) -> None:

@@ -23,7 +23,7 @@ def is_ict_facekit(folder: Path) -> bool:
 
 
 def read_ict_facekit(folder: Path, identity: int | None) -> RawModel:
-    """ICT-FaceKit with at most so many identity components. Raises `ModelError` where a file is missing."""
+    """ICT-FaceKit with at most this many identity components. Raises `ModelError` if a file is missing."""
     for name in (NEUTRAL, INDICES):
         if not (folder / name).is_file():
             raise ModelError(f"ICT-FaceKit needs {name}, none in {folder}; copy the whole folder FaceXModel.")

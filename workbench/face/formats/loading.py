@@ -34,7 +34,7 @@ FORMATS = (
     "or ICT-FaceKit's folder"
 )
 CONVERTED = {
-    ".fbx": "no well-kept library reads its blendshapes; open it in Blender and export glTF (.glb) with shape keys",
+    ".fbx": "no maintained library reads its blendshapes; open it in Blender and export glTF (.glb) with shape keys",
     ".blend": "open it in Blender and export glTF (.glb) with shape keys",
     ".vrm": "it is glTF; rename it to .glb",
 }
@@ -52,15 +52,15 @@ def load_face_model(
     identity: int | None = COMPONENTS,
     expressions: int | None = COMPONENTS,
 ) -> FaceModel:
-    """The face model of a file or folder: head frame, millimetres, ARKit's names where the file has such shapes.
+    """The face model of a file or folder: head frame, millimetres, ARKit's names if the file has such shapes.
 
     Read are FLAME (.pkl, never executed, or .npz), Basel 2009, 2017 and 2019 (.mat, .h5), GNM Head (.npz), ICT-FaceKit
     (folder), glTF with morph targets (.glb, .gltf) and folders of OBJ targets; the workbench's own head (.npz) too.
     `landmarks` is a `landmarks.toml`, or for FLAME a published embedding; without it, the format's own landmarks are
-    taken (for FLAME from the embeddings beside the model), and what is missing is fitted (`landmark_fit`). `unit` ("m",
-    "cm", "mm", …) is for heads of no human size. Of statistical bases the first `identity` and `expressions` components
-    are kept, all with None. Raises `ModelError` where parts are missing or do not belong together, and for `landmarks`
-    or a `unit` that the format has no use for.
+    taken (for FLAME from the embeddings next to the model), and what is missing is fitted (`landmark_fit`). `unit`
+    ("m", "cm", "mm", …) is for heads that are not of human size. Of statistical bases the first `identity` and
+    `expressions` components are kept; None keeps all. Raises `ModelError` if parts are missing or do not belong
+    together, and for `landmarks` or a `unit` that the format does not use.
     """
     path = Path(path)
     with reading(shortened(path), "a face model", REMEDY, ModelError):
@@ -112,7 +112,7 @@ def _read(path: Path, landmarks: Path | None, identity: int | None, expressions:
     if path.is_dir():
         return read_ict_facekit(path, identity) if is_ict_facekit(path) else read_obj_targets(path)
     if suffix in CONVERTED:
-        raise ModelError(f"{path} is not read: {CONVERTED[suffix]}.")
+        raise ModelError(f"{path} cannot be read: {CONVERTED[suffix]}.")
     readers: dict[str, Callable[[], RawModel]] = {
         ".mat": lambda: read_basel_mat(path, identity),
         ".h5": lambda: read_basel_h5(path, identity, expressions),
@@ -146,7 +146,7 @@ def _read_named_arrays(path: Path, landmarks: Path | None, identity: int | None,
 def _check_no_embedding(path: Path, landmarks: Path | None) -> None:
     if landmarks is not None and landmarks.suffix != ".toml":
         raise ModelError(
-            f"{landmarks} is no landmarks.toml: embeddings are read for FLAME alone; give those of {path} in one."
+            f"{landmarks} is not a landmarks.toml: embeddings are read for FLAME only; give those of {path} in one."
         )
 
 
@@ -207,7 +207,7 @@ def _fitted(
     if len(raw.landmarks) < 68 and not found:
         raise ModelError(
             f"{path}: the default head could not be laid on this mesh ({100 * fit.covered:.0f} % of its face found the "
-            f"surface, {fit.distance_mm:.1f} mm away in the middle); give all 68 landmarks in landmarks.toml."
+            f"surface, median distance {fit.distance_mm:.1f} mm); give all 68 landmarks in landmarks.toml."
         )
     return fit, found
 

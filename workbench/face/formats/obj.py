@@ -77,7 +77,7 @@ def read_targets(neutral_path: Path, neutral: ObjMesh, paths: Iterable[Path]) ->
         # Other texture or normal numbers are no other topology.
         if faces_text != neutral.faces_text and not np.array_equal(read_obj(path).triangles, neutral.triangles):
             raise ModelError(
-                f"{path.name} lists other faces than {neutral_path.name}; export without reordering vertices."
+                f"{path.name} lists different faces from {neutral_path.name}; export without reordering vertices."
             )
         targets.append(vertices)
     return np.stack(targets) if targets else np.zeros((0, len(neutral.vertices), 3))
@@ -90,7 +90,7 @@ def read_obj_targets(folder: Path, neutral: str = "neutral") -> RawModel:
         raise ModelError(f"A model folder needs {neutral}.obj, none in {folder}; export the neutral face there.")
     paths = sorted(path for path in folder.glob("*.obj") if path != neutral_path)
     if not paths:
-        raise ModelError(f"{folder} holds no blendshape targets beside {neutral}.obj; add one OBJ a blendshape.")
+        raise ModelError(f"{folder} holds no blendshape targets next to {neutral}.obj; add one OBJ per blendshape.")
     mesh = read_obj(neutral_path)
     targets = read_targets(neutral_path, mesh, paths)
     landmarks = folder / LANDMARKS_FILE
@@ -112,7 +112,7 @@ def read_landmarks_toml(path: Path, vertex_count: int) -> dict[int, Place]:
     if not path.is_file():
         raise ModelError(f"A model folder needs {LANDMARKS_FILE} with the 68 points, none at {path}.")
     stored = toml_tables(checked_file(path, LANDMARKS_FILE, ModelError), ModelError)
-    with reading(path, LANDMARKS_FILE, "write it as the documentation of load_face_model says", ModelError):
+    with reading(path, LANDMARKS_FILE, "write it as the documentation of load_face_model describes", ModelError):
         return _landmarks(path, stored, vertex_count)
 
 

@@ -51,7 +51,7 @@ def read_arrays(path: str | Path) -> dict[str, Any]:
 
 
 def array_of(arrays: dict[str, Any], key: str, path: object) -> np.ndarray:
-    """One array by its name. Raises `ModelError` where there is none, or something else under that name."""
+    """One array by its name. Raises `ModelError` if there is none, or something else under that name."""
     value = arrays.get(key)
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return value
@@ -188,7 +188,7 @@ def _dtype(record: Record) -> np.dtype:
         case "dtype", (str(code), *_), state if re.fullmatch("[biuf][0-9]{1,2}", code):
             order = state[1] if isinstance(state, tuple) and len(state) > 1 and state[1] in ("<", ">") else ""
             return np.dtype(order + code)
-    raise UnreadableError("it holds an array of something else than numbers")
+    raise UnreadableError("it holds an array of something other than numbers")
 
 
 def _array(data: Any, dtype: np.dtype, shape: tuple, order: str) -> np.ndarray:

@@ -84,18 +84,18 @@ def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, pa
     count = len(points.head)
     if count < 2:
         raise ModelError(
-            f"{path} does not tell where its face is: give 68 vertex numbers in landmarks.toml, or export blendshapes "
+            f"{path} does not say where its face is: give 68 vertex numbers in landmarks.toml, or export blendshapes "
             "under ARKit's names."
         )
     head, file = points.head - points.head.mean(0), points.file - points.file.mean(0)
     spread = np.sqrt((file**2).sum())
     if spread == 0.0:
-        raise ModelError(f"{path}: all points of the face that are known lie in one place; the model is damaged.")
+        raise ModelError(f"{path}: all known points of the face coincide; the model is damaged.")
     _check_sides(head.T @ file, path)
     rotation = nearest_right_angle(head.T @ file) if axes is None else axes
     scale = float(np.sum(head * (file @ rotation.T)) / spread**2)
     if scale <= 0.0:
-        raise ModelError(f"{path}: the eyes or landmarks stand the wrong way round; sides are the subject's.")
+        raise ModelError(f"{path}: the eyes or landmarks are the wrong way round; sides are the subject's.")
     unit_mm = _unit(scale, unit, path)
     # The default head's origin, laid on the file by the similarity.
     origin = points.file.mean(0) - rotation.T @ points.head.mean(0) / scale

@@ -1,7 +1,7 @@
 """Points of faces nested in lists: JSON and `.npy` of face-alignment and MediaPipe.
 
 In an `.npy` of numbers the last axes are points and x, y (and z, which is left alone): (n, 2) is one picture's face,
-(frames, n, 2) one face a frame, (frames, faces, n, 2) several. A face with a NaN is none.
+(frames, n, 2) one face per frame, (frames, faces, n, 2) several. A face with a NaN is none.
 
 In JSON a point is `[x, y]`, `[x, y, z]` or `{"x": ..., "y": ..., ...}`, and a face is a list of points or
 `{"landmark": [...]}`. A frame is a face, a list of faces, or a MediaPipe result: an object with `faceLandmarks`,

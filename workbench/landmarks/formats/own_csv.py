@@ -35,7 +35,7 @@ def confidence_columns(scheme: LandmarkScheme = IBUG68) -> list[str]:
 
 
 class LandmarkCsvWriter:
-    """Write a CSV one frame at a time, with constant memory; used in a `with` block, whole or not at all."""
+    """Write a CSV one frame at a time, with constant memory; used in a `with` block, completely or not at all."""
 
     def __init__(self, path: str | Path, confidence: bool = True, scheme: LandmarkScheme = IBUG68) -> None:
         self.path = Path(path)
@@ -105,7 +105,7 @@ def _columns_of(path: Path, header: list[str]) -> tuple[LandmarkScheme, bool]:
     if not header:
         problem = "the file is empty"
     elif not missing:
-        problem = "the columns are in another order, or there are others"
+        problem = "the columns are in another order, or some are unknown"
     elif len(missing) > 8:
         problem = f"it begins with {shortened(repr(','.join(header[:4])))} and {len(missing)} columns are missing"
     else:

@@ -62,7 +62,9 @@ def read_folder(folder: Path, image_size: tuple[int, int]) -> Iterator[LandmarkR
     """
     files = files_in(folder)
     if not files:
-        raise InputError(f"{folder} is a folder without .pts files: name a landmark file, or a folder with one a frame")
+        raise InputError(
+            f"{folder} is a folder without .pts files: name a landmark file, or a folder with one per frame"
+        )
     return _frames(sorted(files, key=natural_key), image_size)
 
 

@@ -55,7 +55,7 @@ def checked_landmarks(where: str, points: object, confidence: object, size: tupl
         landmarks = Landmarks2D(array, certainty, size)
         far = np.flatnonzero((np.abs(landmarks.points) > LARGEST_SIDE).any(axis=1))
         if far.size:
-            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside of any picture")
+            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside any picture")
         return landmarks
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
@@ -65,7 +65,7 @@ def checked_landmarks(where: str, points: object, confidence: object, size: tupl
 
 
 def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, int]:
-    """The (width, height) that was given with a file. Raises `InputError` where none was."""
+    """The (width, height) that was given with a file. Raises `InputError` if none was."""
     if image_size is None:
         raise InputError(
             f"{path} does not say how large its pictures are: name the clip or photo as well, as in "
@@ -92,7 +92,7 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
                 f"{path}: frame indices must ascend, got {record.frame} after {following - 1}: sort the frames"
             )
         if absent > MOST_MISSING:
-            raise InputError(f"{path}: {absent} frames are left out before frame {record.frame}: mend the number")
+            raise InputError(f"{path}: {absent} frames are missing before frame {record.frame}: correct the number")
         for frame in range(following, record.frame):
             yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, record.size)
         yield record
@@ -122,7 +122,7 @@ def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str], firs
 
 
 def check_size(landmarks: Landmarks2D, size: tuple[int, int], picture: str) -> None:
-    """Raise `InputError` where landmarks are of a picture of another (width, height) than the `picture` has."""
+    """Raise `InputError` if landmarks are of a picture of a different (width, height) from the `picture`'s."""
     if landmarks.image_size != size:
         of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
         raise InputError(

@@ -3,7 +3,7 @@ import { element } from "../shared/canvas.js";
 // The keys of a panel: what the help shows, and what is done, by each key of a row or by all of them.
 export const KEYS = [
   ["space", " ", "play or pause", "play"],
-  [",  .", ",.", "one frame back, forth", "back forth"],
+  [",  .", ",.", "one frame back, forward", "back forth"],
   ["N  P", "np", "next, previous flagged frame", "next previous"],
   ["I  O", "io", "first, last frame of the part: here", "in out"],
   ["F", "f", "fill this frame from its neighbours", "fill"],
