@@ -1,9 +1,9 @@
 """`workbench track` and `workbench demo`."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -288,7 +288,7 @@ def print_result(result) -> None:
     summary = result.summary
     error = summary["reprojection_error"]
     inner, every = error["inner_51_percent_of_eye_distance"], error["all_68_percent_of_eye_distance"]
-    times, camera = summary["milliseconds_per_frame"], summary["camera"]
+    times = summary["milliseconds_per_frame"]
     table = Table(show_header=False, box=None)
     faces = f"{summary['frames_with_face']} of {summary['frames']} with a face, {summary['shots']} shot(s)"
     table.add_row("[bold]frames[/bold]", faces)
@@ -307,11 +307,7 @@ def print_result(result) -> None:
         spent = ", ".join(f"{name} {value['p50']:.1f} ms" for name, value in times.items())
         rate = f"; {summary['frames_per_second']:.3g} frames/s" if summary["frames_per_second"] else ""
         table.add_row("[bold]time[/bold]", f"median {spent}{rate}")
-    kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
-    table.add_row(
-        "[bold]camera[/bold]",
-        f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})",
-    )
+    table.add_row("[bold]camera[/bold]", _camera(summary["camera"]))
     told = workbench.pipeline.OUTPUTS | workbench.pipeline.DEEP_OUTPUTS | workbench.pipeline.TIME_OUTPUTS
     for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
@@ -321,6 +317,14 @@ def print_result(result) -> None:
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
     print_licence_notice(summary["detector"])
+
+
+def _camera(camera: Mapping[str, Any]) -> str:
+    """A summary's camera in words."""
+    if camera["projection"] == "orthographic":
+        return "parallel projection, no lens"
+    kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
+    return f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})"
 
 
 def _named(files: Sequence[Path]) -> list[Path]:
