@@ -289,12 +289,22 @@ def test_flags_of_the_help_have_no_type_and_options_of_track_stand_in_groups(run
     ]
 
 
-def test_a_run_without_any_face_ends_with_what_to_try(run, tmp_path):
+@pytest.mark.parametrize("place", [None, 3.0])
+def test_a_landmark_file_without_any_face_says_so(run, tmp_path, place):
+    points = None if place is None else Landmarks2D(np.full((68, 2), place), np.ones(68), (640, 480))
     with LandmarkCsvWriter(tmp_path / "none.csv", confidence=False) as writer:
-        writer.write(LandmarkRecord(0, "", None, (640, 480)))
-    code, out, err = run("track", "none.csv", "--no-pictures")
+        writer.write(LandmarkRecord(0, "", points, (640, 480)))
+    code, out, err = run("track", "none.csv", "--no-pictures", "--face", "320,200")
     assert code == 1
     assert "0 of 1 with a face" in out
+    assert err.startswith("error: The landmark file has no face in any frame: its points are missing or all at one")
+    assert "--detector" not in err
+
+
+def test_pictures_without_any_face_end_with_what_to_try(run, tmp_path):
+    write_picture(tmp_path / "grey.png", np.full((240, 320, 3), 90, np.uint8))
+    code, _, err = run("track", "grey.png", "--no-pictures", "--detector", "network")
+    assert code == 1
     assert err.startswith("error: No face was found in any frame; ")
     assert "--detector" in err
 

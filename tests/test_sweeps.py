@@ -468,7 +468,7 @@ def test_a_clip_without_faces_or_files_is_told_and_the_rest_goes_on(done, clips,
     result, _ = do(plan(clips[0], empty, broken, tmp_path / "absent.mp4"), tmp_path / "s")
     assert result.clips == ("one",)
     assert set(result.failures) == {"empty", "broken", "absent"}
-    assert "has no face in any frame" in result.failures["empty"]
+    assert "empty.csv has no face in any frame: its points are missing or all at one place" in result.failures["empty"]
     assert all("\n" not in reason for reason in result.failures.values())
     np.testing.assert_array_equal(result.values[0, "one"], done[0].values[0, "one"])
     with pytest.raises(InputError, match=r"None of the clips can be used: .*no face in any frame"):

@@ -86,6 +86,10 @@ NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
+NO_FACE_IN_FILE = (
+    "The landmark file has no face in any frame: its points are missing or all at one place; look at the file, "
+    "or name another."
+)
 CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = (
@@ -279,7 +283,8 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
             raise typer.Exit(130) from None
     print_result(result)
     if not result.summary["frames_with_face"]:
-        screen.print_error(config.landmarks.missed_face or NO_FACE)
+        detected = result.summary["detector"]
+        screen.print_error((config.landmarks.missed_face or NO_FACE) if detected else NO_FACE_IN_FILE)
         raise typer.Exit(1)
 
 
