@@ -9,6 +9,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+import warnings
 from functools import partial
 from io import StringIO
 from itertools import count
@@ -21,6 +22,7 @@ from tests.scenes import make_scene
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config
+from workbench.errors import WorkbenchWarning
 from workbench.frames import write_picture
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
@@ -314,6 +316,22 @@ def test_where_a_point_names_no_face_the_error_names_the_point(run, tmp_path):
     code, _, err = run("landmarks", "grey.png", "--detector", "network", "--face", "300,20.5")
     assert code == 1
     assert err.startswith("error: No face was found at 300,20.5; name a point inside the face")
+
+
+def test_the_workbenchs_warnings_are_notes_and_those_of_others_come_as_ever(monkeypatch, capsys):
+    def warn():
+        warnings.warn("the mouth [stays] shut", WorkbenchWarning, stacklevel=1)
+        warnings.warn("others speak", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
+    monkeypatch.setattr(cli, "app", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        others = []
+        monkeypatch.setattr(warnings, "showwarning", lambda message, *_: others.append(str(message)))
+        cli.main()
+    assert capsys.readouterr().err == "note: the mouth [stays] shut\n"
+    assert others == ["others speak"]
 
 
 def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp_path):
