@@ -9,6 +9,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+import warnings
 from functools import partial
 from io import StringIO
 from itertools import count
@@ -18,12 +19,14 @@ import pytest
 
 import workbench
 from tests.scenes import make_scene
+from tests.stereo_scenes import make_rig
 from tests.test_nothing_lost import small_disk
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config
+from workbench.errors import InputError, WorkbenchWarning
 from workbench.frames import write_picture
-from workbench.geometry import yaw_pitch_roll_deg
+from workbench.geometry import write_rig, yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -81,6 +84,51 @@ def test_a_character_of_ones_own_is_stored_where_every_folder_finds_it(run, poin
     (tmp_path / "me" / "character.toml").write_text("")
     assert run("track", "points.csv", "--no-pictures", "--character", "me", "--out", "here")[0] == 0
     assert read_config(tmp_path / "here" / "config.toml").head.character == str(tmp_path / "me")
+
+
+def test_a_run_by_a_rig_can_be_repeated_from_another_folder(run, points, tmp_path, monkeypatch):
+    write_rig(make_rig(), tmp_path / "rig.toml")
+    assert run("track", "points.csv", "--no-pictures", "--no-identity", "--rig", "rig.toml", "--out", "first")[0] == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    again = ("track", str(points), "--no-pictures", "--config", "../first/config.toml", "--out", "second")
+    assert run(*again)[0] == 0
+    first, second = (Track.load(tmp_path / name / "track.npz") for name in ("first", "elsewhere/second"))
+    np.testing.assert_array_equal(first.expression, second.expression)
+    _, _, err = run("track", str(points), "--no-pictures", "--rig", "rig.toml", "--out", "third")
+    assert f"The rig file {tmp_path / 'elsewhere' / 'rig.toml'} does not exist" in err
+
+
+def test_what_is_no_option_but_typed_into_a_configuration_stays_as_it_is_typed(run, points, tmp_path):
+    write_rig(make_rig(), tmp_path / "rig.toml")
+    write_config(preset("joint").changed(camera={"rig": "rig.toml"}), tmp_path / "mine.toml")
+    assert (
+        run("track", "points.csv", "--no-pictures", "--no-identity", "--config", "mine.toml", "--out", "here")[0] == 0
+    )
+    assert read_config(tmp_path / "here" / "config.toml").camera.rig == "rig.toml"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "section", "key", "name"),
+    [
+        (["--preset", "deep", "--network", "net.safetensors"], "deep", "network", "{}/net.safetensors"),
+        (["--preset", "deep", "--network", "landmarks"], "deep", "network", "landmarks"),
+        (["--detector", "mediapipe", "--face-landmarker", "f.task"], "landmarks", "face_landmarker", "{}/f.task"),
+    ],
+)
+def test_files_that_options_name_are_named_as_in_any_folder(
+    run, points, tmp_path, monkeypatch, arguments, section, key, name
+):
+    (tmp_path / "net.safetensors").touch()
+    given = []
+
+    def track(inputs, folder, model, config, **options):
+        given.append(getattr(getattr(config, section), key))
+        raise InputError("enough")
+
+    monkeypatch.setattr(workbench.pipeline, "track", track)
+    assert run("track", "points.csv", *arguments)[0] == 2
+    assert given == [name.format(tmp_path)]
 
 
 def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does_not(run, points, tmp_path):
@@ -298,12 +346,22 @@ def test_flags_of_the_help_have_no_type_and_options_of_track_stand_in_groups(run
     ]
 
 
-def test_a_run_without_any_face_ends_with_what_to_try(run, tmp_path):
+@pytest.mark.parametrize("place", [None, 3.0])
+def test_a_landmark_file_without_any_face_says_so(run, tmp_path, place):
+    points = None if place is None else Landmarks2D(np.full((68, 2), place), np.ones(68), (640, 480))
     with LandmarkCsvWriter(tmp_path / "none.csv", confidence=False) as writer:
-        writer.write(LandmarkRecord(0, "", None, (640, 480)))
-    code, out, err = run("track", "none.csv", "--no-pictures")
+        writer.write(LandmarkRecord(0, "", points, (640, 480)))
+    code, out, err = run("track", "none.csv", "--no-pictures", "--face", "320,200")
     assert code == 1
     assert "0 of 1 with a face" in out
+    assert err.startswith("error: The landmark file has no face in any frame: its points are missing or all at one")
+    assert "--detector" not in err
+
+
+def test_pictures_without_any_face_end_with_what_to_try(run, tmp_path):
+    write_picture(tmp_path / "grey.png", np.full((240, 320, 3), 90, np.uint8))
+    code, _, err = run("track", "grey.png", "--no-pictures", "--detector", "network")
+    assert code == 1
     assert err.startswith("error: No face was found in any frame; ")
     assert "--detector" in err
 
@@ -313,6 +371,22 @@ def test_where_a_point_names_no_face_the_error_names_the_point(run, tmp_path):
     code, _, err = run("landmarks", "grey.png", "--detector", "network", "--face", "300,20.5")
     assert code == 1
     assert err.startswith("error: No face was found at 300,20.5; name a point inside the face")
+
+
+def test_the_workbenchs_warnings_are_notes_and_those_of_others_come_as_ever(monkeypatch, capsys):
+    def warn():
+        warnings.warn("the mouth [stays] shut", WorkbenchWarning, stacklevel=1)
+        warnings.warn("others speak", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
+    monkeypatch.setattr(cli, "app", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        others = []
+        monkeypatch.setattr(warnings, "showwarning", lambda message, *_: others.append(str(message)))
+        cli.main()
+    assert capsys.readouterr().err == "note: the mouth [stays] shut\n"
+    assert others == ["others speak"]
 
 
 def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp_path):

@@ -50,6 +50,13 @@ def test_a_clean_track_has_no_frame_that_stands_out(run, runs):
     assert out == "no frame stands out (24 frames, 24 with a face)\n"
 
 
+def test_a_track_without_any_face_says_so(run, head, tmp_path):
+    with LandmarkCsvWriter(tmp_path / "none.csv", confidence=False) as writer:
+        writer.write(LandmarkRecord(0, "", None, IMAGE_SIZE))
+    track(tmp_path / "none.csv", tmp_path / "none", head, preset("calibrated"), pictures=False)
+    assert run("diagnose", "none")[1] == "no frame has a face (1 frame)\n"
+
+
 def test_a_broken_frame_heads_the_list_and_the_files(run, runs, tmp_path):
     code, out, err = run("diagnose", str(runs / "broken" / "track.npz"), "--json", "flags.json", "--csv", "flags.csv")
     assert (code, err) == (0, "")

@@ -10,11 +10,14 @@ import pytest
 
 from tests import browser
 from tests.performances import FRAMES, GAP, performance
+from workbench.cli.tracking import print_result
 from workbench.config import preset
 from workbench.diagnosis import flag_frames
 from workbench.export.report import worst_frames, write_report
 from workbench.export.report_charts import line_chart, nice_ticks, residual_picture
+from workbench.export.summary import summary_of
 from workbench.frames import VideoWriter, open_frames
+from workbench.pipeline import RunResult
 from workbench.tracking.records import SOURCES
 
 
@@ -143,6 +146,28 @@ def test_a_track_whose_character_is_elsewhere_is_reported_all_the_same(track, he
     config = {**track.meta["config"], "head": {"character": "me"}}
     write_report(replace(track, meta={**track.meta, "config": config}), head, tmp_path / "report.html", None)
     assert "Worst frames" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["orthographic", "deep-parallel"])
+def test_a_parallel_projection_has_no_lens(name, track, head, tmp_path, capsys):
+    parallel = replace(track, meta={**track.meta, "config": preset(name).model_dump(mode="json")})
+    summary = summary_of([parallel])
+    assert summary["camera"]["projection"] == "orthographic"
+    assert summary["camera"]["focal_px"] is summary["camera"]["horizontal_fov_deg"] is None
+    assert not summary["camera"]["guessed"]
+    write_report(parallel, head, tmp_path / "report.html", None)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<b>parallel</b><span>projection, no lens</span>" in text
+    assert "field of view<" not in text
+    print_result(RunResult(tmp_path, summary, ()))
+    printed = capsys.readouterr().out
+    assert "parallel projection, no lens" in printed
+    assert "--fov" not in printed
+
+
+def test_a_perspective_camera_has_its_field_of_view_in_the_report(page, track):
+    assert summary_of([track])["camera"]["projection"] == "perspective"
+    assert "field of view, guessed" in page.read_text(encoding="utf-8")
 
 
 def test_a_track_without_pictures_gets_grey_ones(track, head, tmp_path):

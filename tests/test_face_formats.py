@@ -40,6 +40,7 @@ from workbench.config import preset
 from workbench.errors import ModelError
 from workbench.face import arkit_name, landmark_model, load_default_head, load_face_model
 from workbench.face.formats.landmark_fit import outward
+from workbench.face.formats.obj import read_obj
 from workbench.face.formats.pickled_arrays import read_arrays
 from workbench.face.formats.shape_names import arkit_shapes
 from workbench.landmarks.scheme import MIRROR
@@ -342,6 +343,11 @@ def test_an_embedding_for_another_model_than_flame_is_refused(write, subject, tm
 def test_the_workbenchs_own_head_takes_no_landmarks_and_no_unit(options):
     with pytest.raises(ModelError, match="is the workbench's own head: leave landmarks and unit out"):
         load_face_model(sample("head"), **options)
+
+
+def test_an_obj_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", encoding="utf-8-sig")
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
 
 def test_the_workbenchs_own_head_is_read(head):

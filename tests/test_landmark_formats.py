@@ -1,6 +1,7 @@
 """Landmarks of OpenFace, 300-W, face-alignment, MediaPipe and dlib are read as these programs write them."""
 
 import json
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import cv2
@@ -331,6 +332,12 @@ def test_the_portrait_is_fitted_alike_through_every_layout(name, tmp_path):
     np.testing.assert_allclose(fit.landmarks.points, landmarks.points, atol=1e-4)
     np.testing.assert_allclose(fit.yaw_pitch_roll, again.yaw_pitch_roll, atol=0.01)
     np.testing.assert_allclose(list(fit.weights.values()), list(again.weights.values()), atol=0.002)
+
+
+@pytest.mark.parametrize("name", [name for name in LAYOUTS if not name.endswith(".npy")])
+def test_every_layout_of_text_may_begin_with_a_byte_order_mark(name, tmp_path):
+    (record,) = read(tmp_path / name, BOM_UTF8 + LAYOUTS[name](LARGE, SIZE, tmp_path).encode())
+    at(record, LARGE)
 
 
 @pytest.mark.parametrize("name", [name for name in LAYOUTS if not name.endswith(".pts")])

@@ -13,6 +13,7 @@ from workbench.face import FaceModel, keeps_the_mouth_shut, principal_expression
 from workbench.face.principal import random_expressions
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov, project, rotation_matrix
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline.deep_run import FrameWork
 from workbench.planning import plan_of
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
@@ -120,6 +121,7 @@ def test_first_components_that_open_no_mouth_are_warned_of(principal, head, name
         DeepFitter(head, plan_of(preset(name)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        FrameWork(head, plan_of(preset(name)))._fitter  # noqa: B018 (a worker's own: the command has warned)
         DeepFitter(principal, plan_of(preset(name)))
         DeepFitter(head, plan_of(preset("deep")))
         opening = Stage(name="jaw", free=("expression",), shapes=("jawOpen",))

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import zipfile
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,11 @@ def test_texts_that_never_end_are_refused_in_one_pass(read, text):
 def test_toml_within_the_limits_is_read_as_ever():
     text = "a = \"[[[[\" # [[[[ \nb = [1, 2]\nf = 0.3000000000000000444089\n[c.d]\ne = '''[{\n'''\n"
     assert checked_toml(text) == {"a": "[[[[", "b": [1, 2], "f": 0.30000000000000004, "c": {"d": {"e": "[{\n"}}}
+
+
+@pytest.mark.parametrize(("read", "text"), [(checked_json, '{"a": 1}'), (checked_toml, "a = 1")])
+def test_the_byte_order_mark_of_windows_editors_is_no_text(read, text):
+    assert read(BOM_UTF8 + text.encode()) == {"a": 1}
 
 
 def test_arrays_are_read_after_their_sizes_were_checked():

@@ -512,7 +512,7 @@ def test_lists_of_plain_json_are_read_as_matrices(tmp_path):
     text = """{"K1": %s, "K2": %s, "R": %s, "T": %s, "image_size": [640, 480]}"""
     parts = [np.asarray(value).tolist() for value in (MATRIX, MATRIX, ROTATION, TRANSLATION)]
     path = tmp_path / "rig.json"
-    path.write_text(text % tuple(map(str, parts)))
+    path.write_text(text % tuple(map(str, parts)), encoding="utf-8-sig")  # as some editors of Windows write it
     np.testing.assert_allclose(read_rig(path).rotation_view_reference[1], ROTATION, atol=1e-15)
 
 

@@ -468,7 +468,10 @@ def test_a_clip_without_faces_or_files_is_told_and_the_rest_goes_on(done, clips,
     result, _ = do(plan(clips[0], empty, broken, tmp_path / "absent.mp4"), tmp_path / "s")
     assert result.clips == ("one",)
     assert set(result.failures) == {"empty", "broken", "absent"}
-    assert "has no face in any frame" in result.failures["empty"]
+    assert (
+        "empty.csv has no face in any frame: its points are missing, all at one place or without any confidence"
+        in result.failures["empty"]
+    )
     assert all("\n" not in reason for reason in result.failures.values())
     np.testing.assert_array_equal(result.values[0, "one"], done[0].values[0, "one"])
     with pytest.raises(InputError, match=r"None of the clips can be used: .*no face in any frame"):
@@ -489,6 +492,36 @@ def test_a_clip_in_whose_fitted_frames_nothing_has_a_value_is_told(clips, late, 
     assert "No objective has a value in the frames that were fitted" in result.failures["late"]
     with pytest.raises(InputError, match="None of the clips can be fitted: No objective has a value"):
         do(plan(late, frames=2), tmp_path / "t")
+
+
+def test_a_sweep_that_found_no_value_leaves_its_folder_free(tmp_path):
+    one_frame = write_clip(tmp_path / "single.csv", range(1))
+    wrong, right = (plan(one_frame, axes=["weights.tau=0.1,1"], objectives=(name,)) for name in ("jitter", "error"))
+    for folder in (tmp_path / "s", (tmp_path / "by-url").as_uri()):
+        with pytest.raises(InputError, match="None of the clips can be fitted: No objective has a value"):
+            do(wrong, folder)
+        assert do(right, folder)[0].clips == ("single",)
+    with pytest.raises(InputError, match="None of the clips can be fitted"):
+        do(wrong, tmp_path / "s", resume=True)
+    with pytest.raises(OutputError, match="holds a sweep"):
+        do(right, tmp_path / "s")
+
+
+def test_a_sweep_of_which_a_part_is_stored_can_be_gone_on_with(clips, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_module, "parts_of", lambda windows: ((range(4),), (range(4, 12),)))
+    wanted = plan(clips[0], axes=["weights.tau=0.1"], objectives=("error",))
+    with pytest.raises(InputError, match="None of the clips can be fitted: It died"):
+        run_sweep(wanted, tmp_path / "s", Losing("one"))
+    with pytest.raises(OutputError, match="holds a sweep"):
+        do(wanted, tmp_path / "s")
+    assert do(wanted, tmp_path / "s", resume=True)[1] == 4
+
+
+def test_a_rig_that_is_not_there_is_told_before_any_landmark_is_found(clips, tmp_path):
+    wanted = plan(clips[0], base=FACE_IT.changed(camera={"rig": str(tmp_path / "gone.toml")}))
+    with pytest.raises(InputError, match=r"^The rig file .*gone\.toml does not exist"):
+        do(wanted, tmp_path / "s")
+    assert not (tmp_path / "s").exists()
 
 
 def test_what_went_wrong_is_told_of_a_clip_without_values_too(clips, late, tmp_path, monkeypatch):

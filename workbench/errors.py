@@ -29,5 +29,9 @@ class StoppedError(WorkbenchError):
     """Work that was cancelled before it had a result; nothing has changed."""
 
 
+class WorkbenchWarning(UserWarning):
+    """What a user should know of a result that was made all the same; the command line prints it as a note."""
+
+
 class MissingDependencyError(WorkbenchError, ImportError):
     """An optional package that is needed for what was asked."""

@@ -120,14 +120,14 @@ def shortened(value: object, longest: int = LONGEST_REASON) -> str:
 
 def checked_json(text: str | bytes) -> Any:
     """The value of a JSON text. Raises ValueError for damage and for what is beyond the limits."""
-    text = text.decode("utf-8") if isinstance(text, bytes) else text
+    text = text.decode("utf-8-sig") if isinstance(text, bytes) else text
     _check_depth(_JSON_TOKENS, text)
     return json.loads(text, parse_int=_whole_number)
 
 
 def checked_toml(text: str | bytes) -> dict[str, Any]:
     """The tables of a TOML text. Raises ValueError for damage and for what is beyond the limits."""
-    text = text.decode("utf-8") if isinstance(text, bytes) else text
+    text = text.decode("utf-8-sig") if isinstance(text, bytes) else text
     _check_depth(_TOML_TOKENS, text)
     if _TOML_LONG_KEY.search(text):
         raise ValueError(f"a key has more than {MOST_NESTED} parts")

@@ -57,9 +57,10 @@ screen.with_plain_flags(app)
 
 
 def main() -> None:
-    """Entry point: errors that a user can mend are one sentence and exit code 2."""
+    """Entry point: errors that a user can mend are one sentence and exit code 2, warnings are notes."""
     try:
-        app()
+        with screen.warnings_as_notes():
+            app()
     except WorkbenchError as error:
         screen.print_error(error)
         sys.exit(2)

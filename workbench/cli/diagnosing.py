@@ -102,10 +102,10 @@ def _check_diagnosed(track: "workbench.Track") -> None:
 
 def _print_flags(record: dict, run: Path, every: bool, diagnosed: bool) -> None:
     """The frames that stand out, and where such runs are `diagnosed`, the command that tells why."""
-    flagged = record["flagged"]
+    flagged, frames = record["flagged"], f"{record['frames']} frame{'' if record['frames'] == 1 else 's'}"
     if not flagged:
-        faces = f"{record['frames']} frames, {record['frames_with_face']} with a face"
-        screen.console.print(f"no frame stands out ({faces})")
+        told = f"no frame stands out ({frames}, {record['frames_with_face']} with a face)"
+        screen.console.print(told if record["frames_with_face"] else f"no frame has a face ({frames})")
         return
     shown = flagged if every else flagged[:MOST_FRAMES]
     table = screen.table("frame", "severity", "why", right=("frame", "severity"))
@@ -114,7 +114,7 @@ def _print_flags(record: dict, run: Path, every: bool, diagnosed: bool) -> None:
     screen.console.print(table)
     rest = "" if len(shown) == len(flagged) else f"; these are the worst {len(shown)}, --all lists the others"
     stand = "stands" if len(flagged) == 1 else "stand"
-    screen.console.print(f"{len(flagged)} of {record['frames']} frames {stand} out{rest}")
+    screen.console.print(f"{len(flagged)} of {frames} {stand} out{rest}")
     if not diagnosed:
         return
     command = escape(shlex.join(["workbench", "diagnose", str(run), "--frame", str(flagged[0]["frame"])]))

@@ -1,5 +1,6 @@
 """What the commands print with: the two consoles, errors, tables, the progress bar."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -11,6 +12,7 @@ from rich.table import Table
 from typer.core import TyperCommand, TyperGroup
 
 import workbench
+from workbench.errors import WorkbenchWarning
 
 
 class _PlainFlags:
@@ -49,6 +51,29 @@ errors = Console(stderr=True, highlight=False)
 def print_error(error: Exception | str) -> None:
     """An error, or a sentence of its own, as one line on standard error."""
     errors.print(f"[red]error:[/red] {escape(str(error))}", soft_wrap=True)
+
+
+def print_note(text: Warning | str) -> None:
+    """What a user should know, as one line on standard error."""
+    errors.print(f"[yellow]note:[/yellow] {escape(str(text))}", soft_wrap=True)
+
+
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Print the workbench's own warnings as notes; those of other packages come as ever."""
+    shown = warnings.showwarning
+
+    def show(message, category, filename, lineno, file=None, line=None) -> None:
+        if issubclass(category, WorkbenchWarning):
+            print_note(message)
+        else:
+            shown(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = shown
 
 
 def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = ()) -> Table:

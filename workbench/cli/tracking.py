@@ -1,9 +1,9 @@
 """`workbench track` and `workbench demo`."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -85,6 +85,10 @@ REFINE_HELP = "Stabilise the result: averaging, self, plate or hybrid (none: lea
 NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
+)
+NO_FACE_IN_FILE = (
+    "The landmark file has no face in any frame: its points are missing, all at one place or without any confidence; "
+    "look at the file, or name another."
 )
 CHARACTER_HELP = "Character that the 3D head is drawn as: a ready one such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
@@ -188,8 +192,9 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         if base.camera.matrix is not None:
             camera["distortion"] = []  # of the measured lens
     if rig is not None:
-        camera["rig"] = str(rig)
-    deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
+        camera["rig"] = str(rig.absolute())
+    named = None if network is None else lasting_file(network)
+    deep = {name: value for name, value in (("energy", energy), ("network", named)) if value is not None}
     if deep and not base.traits.reads("deep"):
         raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
     changes = {
@@ -201,6 +206,11 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         "refinement": {} if refine is None else {"method": refine},
     }
     return base.changed(**changes)
+
+
+def lasting_file(name: str) -> str:
+    """What may be a file, named as in any folder; a word for what comes along as it is."""
+    return str(Path(name).absolute()) if Path(name).is_file() else name
 
 
 def base_config(config: Path | None, preset_name: str | None) -> Config:
@@ -243,7 +253,7 @@ def with_landmarker(config: Config, path: Path) -> Config:
     """The configuration with the file of `--face-landmarker`; raises `ConfigError` where no detector reads it."""
     if config.landmarks.detector != "mediapipe":
         raise ConfigError("--face-landmarker belongs to the detector mediapipe; add --detector mediapipe.")
-    return config.changed(landmarks={"face_landmarker": str(path)})
+    return config.changed(landmarks={"face_landmarker": str(path.absolute())})
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:
@@ -279,7 +289,8 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
             raise typer.Exit(130) from None
     print_result(result)
     if not result.summary["frames_with_face"]:
-        screen.print_error(config.landmarks.missed_face or NO_FACE)
+        detected = result.summary["detector"]
+        screen.print_error((config.landmarks.missed_face or NO_FACE) if detected else NO_FACE_IN_FILE)
         raise typer.Exit(1)
 
 
@@ -288,7 +299,7 @@ def print_result(result) -> None:
     summary = result.summary
     error = summary["reprojection_error"]
     inner, every = error["inner_51_percent_of_eye_distance"], error["all_68_percent_of_eye_distance"]
-    times, camera = summary["milliseconds_per_frame"], summary["camera"]
+    times = summary["milliseconds_per_frame"]
     table = Table(show_header=False, box=None)
     faces = f"{summary['frames_with_face']} of {summary['frames']} with a face, {summary['shots']} shot(s)"
     table.add_row("[bold]frames[/bold]", faces)
@@ -307,11 +318,7 @@ def print_result(result) -> None:
         spent = ", ".join(f"{name} {value['p50']:.1f} ms" for name, value in times.items())
         rate = f"; {summary['frames_per_second']:.3g} frames/s" if summary["frames_per_second"] else ""
         table.add_row("[bold]time[/bold]", f"median {spent}{rate}")
-    kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
-    table.add_row(
-        "[bold]camera[/bold]",
-        f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})",
-    )
+    table.add_row("[bold]camera[/bold]", _camera(summary["camera"]))
     told = workbench.pipeline.OUTPUTS | workbench.pipeline.DEEP_OUTPUTS | workbench.pipeline.TIME_OUTPUTS
     for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
@@ -321,6 +328,14 @@ def print_result(result) -> None:
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
     print_licence_notice(summary["detector"])
+
+
+def _camera(camera: Mapping[str, Any]) -> str:
+    """A summary's camera in words."""
+    if camera["projection"] == "orthographic":
+        return "parallel projection, no lens"
+    kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
+    return f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})"
 
 
 def _named(files: Sequence[Path]) -> list[Path]:

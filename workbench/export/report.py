@@ -151,7 +151,6 @@ def _cards(track: Track, flags: FrameFlags) -> str:
     inner = summary["reprojection_error"]["inner_51_percent_of_eye_distance"]["mean"]
     every = summary["reprojection_error"]["all_68_percent_of_eye_distance"]["mean"]
     solve = summary["milliseconds_per_frame"]["solve"]["p50"]
-    camera = summary["camera"]
     filled = f", {summary['frames_filled']} of them filled" if summary["frames_filled"] else ""
     cards = [
         (f"{summary['frames_with_face']} of {summary['frames']}", f"frames with a face{filled}"),
@@ -159,11 +158,18 @@ def _cards(track: Track, flags: FrameFlags) -> str:
         ("–" if every is None else f"{every:.2f} %", "error of all 68"),
         (str(int(flags.flagged.sum())), "frames stand out"),
         ("–" if solve is None else f"{solve:.1f} ms", "median solve"),
-        (f"{camera['horizontal_fov_deg']:.0f}°", "field of view" + (", guessed" if camera["guessed"] else "")),
+        _camera(summary["camera"]),
     ]
     return '<div class="cards">{}</div>'.format(
         "".join(f'<div class="card"><b>{html.escape(a)}</b><span>{html.escape(b)}</span></div>' for a, b in cards)
     )
+
+
+def _camera(camera: Mapping[str, Any]) -> tuple[str, str]:
+    """The card of a summary's camera."""
+    if camera["projection"] == "orthographic":
+        return "parallel", "projection, no lens"
+    return f"{camera['horizontal_fov_deg']:.0f}°", "field of view" + (", guessed" if camera["guessed"] else "")
 
 
 def _gallery(track, positions, pictures) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
+from workbench.config import config_of_track
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
 from workbench.tracking import Track
@@ -20,8 +21,9 @@ TIMES = ("detect", "landmarks", "solve")
 def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[str, Any]:
     """Frames, the detector, reprojection errors, times and the assumed camera of a run; `seconds` is its wall time.
 
-    `tracks` are consecutive pieces of one run. The detector is None if the landmarks came from a file. Errors
-    are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
+    `tracks` are consecutive pieces of one run. The detector is None if the landmarks came from a file; focal length and
+    field of view are None in parallel projection. Errors are means over the landmarks of a frame, then mean, median and
+    95th percentile over the frames with a face.
     """
     errors, milliseconds, found, iterations, failure, shots, camera, detector = [], [], [], [], [], 0, {}, None
     filled = 0
@@ -73,13 +75,16 @@ def _failures(failure: Shaped[np.ndarray, "n"]) -> dict[str, int]:
 def _camera(track: Track) -> dict[str, Any]:
     camera = Camera(track.focal_px[0], track.principal_point_px[0], track.distortion[0])
     width, height = (int(length) for length in track.image_size[0])
+    config = config_of_track(track.meta)
+    parallel = config is not None and config.camera.projection == "orthographic"
     return {
         "image_size": [width, height],
-        "focal_px": camera.focal_px.round(3).tolist(),
+        "projection": "orthographic" if parallel else "perspective",
+        "focal_px": None if parallel else camera.focal_px.round(3).tolist(),
         "principal_point_px": camera.principal_point_px.round(3).tolist(),
         "distortion": camera.distortion.tolist(),
-        "horizontal_fov_deg": round(horizontal_fov_deg(camera, (width, height)), 2),
-        "guessed": bool(track.meta.get("camera_guessed", True)),
+        "horizontal_fov_deg": None if parallel else round(horizontal_fov_deg(camera, (width, height)), 2),
+        "guessed": not parallel and bool(track.meta.get("camera_guessed", True)),
     }
 
 

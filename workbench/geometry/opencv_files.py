@@ -39,7 +39,7 @@ def read_opencv_file(path: Path, wanted: re.Pattern[str]) -> dict[str, Any]:
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path} has more than {MOST_BYTES / 1e6:g} MB; keep only the cameras in a calibration.")
     with reading(path, "an OpenCV file", "it may be cut off: write it again with cv2.FileStorage"):
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
         _check_nesting(path, text)
         entries = READERS[path.suffix.lower()](text, wanted)
         return {key: _value(entry) for key, entry in entries.items()}

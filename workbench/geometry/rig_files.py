@@ -80,7 +80,7 @@ def read_rig(
     if not paths:
         raise InputError("A rig is read from at least one file, got none.")
     for path in paths:
-        absent = f"The rig file {path} does not exist; check the name and the folder."
+        absent = f"The rig file {path.absolute()} does not exist; check the name and the folder."
         checked_file(path, "a rig", absent=absent, may_be_empty=True)
         if path.suffix.lower() not in (".toml", *OPENCV_SUFFIXES):
             raise InputError(f"Rig files are .toml, or OpenCV's {', '.join(OPENCV_SUFFIXES)}; got {path.name}.")

@@ -1,5 +1,6 @@
 """Frames of a Deep Energies run: where they are independent, over processes or a cluster, with the same numbers."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from workbench.energies.terms import TABLE
-from workbench.errors import InputError, LostSchedulerError
+from workbench.errors import InputError, LostSchedulerError, WorkbenchWarning
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.deep_sources import DeepSource, RigSource
@@ -152,7 +153,10 @@ class FrameWork:
 
     @cached_property
     def _fitter(self) -> DeepFitter:
-        return DeepFitter(self.model, self.plan)
+        with warnings.catch_warnings():
+            # The run's own fitter has said it.
+            warnings.simplefilter("ignore", WorkbenchWarning)
+            return DeepFitter(self.model, self.plan)
 
     def __call__(self, task: FrameTask) -> FrameFit:
         """The fit of a frame."""

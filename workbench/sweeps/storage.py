@@ -76,6 +76,14 @@ class Storage:
             system.pipe_file(temporary, whole)
             system.mv(temporary, path)
 
+    def remove(self, name: str) -> None:
+        """Remove a file. Raises `OutputError` where that cannot be done."""
+        with writing(f"{self.place}/{name}"):
+            if is_url(self.place):
+                self._file_system().rm_file(self._path(name))
+            else:
+                self._local(name).unlink()
+
     def holds(self, name: str) -> bool:
         """Whether a file of this name was written whole."""
         return self.read(name) is not None

@@ -23,6 +23,9 @@ from workbench.sweeps.storage import Storage, anywhere, local_file, packed, unpa
 from workbench.tracking import FrameObservation
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
+NO_POINTS = (
+    "has no face in any frame: its points are missing, all at one place or without any confidence; name another file."
+)
 FORMAT = 2
 _COUNTED = (".csv", ".npz")
 """Files of landmarks and truths that count frames, and name no pictures."""
@@ -137,8 +140,7 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
             before = observation
         found.append(_without_picture(observation))
     if not any(observation.landmarks is not None for observation in found):
-        missed = config.landmarks.missed_face
-        raise InputError(f"{source.clip}: {missed}" if missed else f"{source.clip} {NO_FACES}")
+        raise InputError(_told_without_faces(source, config))
     flow = np.stack(flow) if flow and all(each is not None for each in flow) else None
     if source.flow and flow is None:
         raise lacking("flow")
@@ -152,6 +154,15 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if source.second is not None:
         second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)
     return SweptClip(source.name, digest, tuple(found), stills, truth, flow, second)
+
+
+def _told_without_faces(source: ClipSource, config: Config) -> str:
+    """Why a clip without any face cannot be used."""
+    file = source.clip if is_landmark_file(Path(source.clip)) else source.landmarks
+    if file:
+        return f"{file} {NO_POINTS}"
+    missed = config.landmarks.missed_face
+    return f"{source.clip}: {missed}" if missed else f"{source.clip} {NO_FACES}"
 
 
 def _flow_since(before: FrameObservation | None, now: FrameObservation) -> np.ndarray | None:

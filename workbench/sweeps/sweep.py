@@ -4,7 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from workbench.config import DEFAULT_PRESET, Config, preset
 from workbench.errors import InputError, OutputError
+from workbench.geometry import read_rig
 from workbench.objectives import TABLE, folds_of
 from workbench.sweeps.acting import check_axis
 from workbench.sweeps.clips import chosen_windows, parts_of
@@ -106,11 +107,13 @@ def run_sweep(
 
     A clip that cannot be fitted or measured is told in `SweepResult.failures`, and the rest goes on. Raises
     `ConfigError` for what the sweep asks for, `OutputError` for a place that takes no more or that holds a sweep unless
-    `resume`, `InputError` if no clip can be used, or fitted and measured at any point. Whatever ends it, finished
-    results stay.
+    `resume`, `InputError` for a rig that cannot be read, and if no clip can be used, or fitted and measured at any
+    point. Whatever ends it, finished results stay.
     """
     sweep = _in_any_folder(sweep)  # workers may run in another one
     points, configs = sweep.checked()
+    if sweep.base.camera.rig:
+        read_rig(sweep.base.camera.rig)
     place = anywhere(str(place))
     storage, progress = Storage(place), progress or silent
     if not resume:
@@ -120,6 +123,7 @@ def run_sweep(
     if not observed:
         raise InputError(f"None of the clips can be used: {next(iter(failures.values()))}")
     # Not before: a name that was misspelt leaves the place free for the same command without the slip.
+    begun = storage.holds(DEFINITION)
     _claim(storage, sweep)
     parts = {
         name: parts_of(chosen_windows([range(*shot) for shot in clip.shots], sweep.frames))
@@ -150,11 +154,16 @@ def run_sweep(
             failures[tasks[number].name] = result.reason
         done += sizes[number]
         progress("fits", done, total)
-    values = _gathered(sweep, model, storage, configs, observed, parts)
+    stored = _stored(sweep, model, storage, configs, observed, parts)
+    whole = {place: rows for place, rows in stored.items() if len(rows) == len(parts[place[1]])}
+    values = {place: np.concatenate(rows, axis=1) for place, rows in whole.items()}
     known = {name for (_, name), rows in values.items() if np.isfinite(rows).any()}
     failures |= {name: NO_VALUES for _, name in values if name not in known and name not in failures}
     values = {place: rows for place, rows in values.items() if place[1] in known}
     if not values:
+        # A slip as well, unless there is something to go on with.
+        if not begun and not any(np.isfinite(rows).any() for rows in chain(*stored.values())):
+            storage.remove(DEFINITION)
         raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()), 'No result was stored.')}")
     failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}
     return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
@@ -220,13 +229,12 @@ def chunked(items: Sequence[Item], frames: int, objectives: Sequence[str]) -> li
     return [tuple(items[first : first + size]) for first in range(0, len(items), size)]
 
 
-def _gathered(sweep: Sweep, model: ModelSource, storage: Storage, configs, observed, parts):
-    """The stored results by point and clip, the parts of a clip in a row; nothing for what is not whole."""
-    values = {}
+def _stored(sweep: Sweep, model: ModelSource, storage: Storage, configs, observed, parts):
+    """The stored results by point and clip, of each part of the clip that has one."""
+    found = {}
     for number, config in enumerate(configs):
         for name, clip in observed.items():
             keys = [result_key(config, clip.digest, part, sweep.objectives, model.fingerprint) for part in parts[name]]
-            found = [stored_result(storage, key) for key in keys]
-            if all(each is not None for each in found):
-                values[number, name] = np.concatenate(found, axis=1)
-    return values
+            rows = [stored_result(storage, key) for key in keys]
+            found[number, name] = [each for each in rows if each is not None]
+    return found

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, deep_model
 from workbench.energies.flow_link import FlowLink
-from workbench.errors import ModelError
+from workbench.errors import ModelError, WorkbenchWarning
 from workbench.face import (
     FaceModel,
     FaceParameters,
@@ -311,5 +311,6 @@ def _warn_of_a_shut_mouth(model: FaceModel, plan: Plan) -> None:
             f"The stages free {', '.join(dict.fromkeys(shapes))} of {model.name}, none of which parts the lips: the "
             "mouth stays shut. Use a model whose components are sorted by size; "
             "workbench.face.principal_expressions makes one.",
+            WorkbenchWarning,
             stacklevel=3,
         )

@@ -1,5 +1,6 @@
 """Wavefront OBJ, read in the file's own order, and folders of OBJ targets."""
 
+from codecs import BOM_UTF8
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ class ObjMesh(NamedTuple):
 
 def read_obj(path: Path) -> ObjMesh:
     """The mesh of an OBJ file. Raises `ModelError` for a file without one."""
-    content = checked_content(path, "OBJ", ModelError)
+    content = _content(path)
     with reading(path, "OBJ", REMEDY, ModelError):
         vertices, faces_text = _vertices_and_faces(path, content)
         uv = _numbers(content.splitlines(), b"vt ", 2)
@@ -50,9 +51,13 @@ def read_obj(path: Path) -> ObjMesh:
 
 def read_obj_vertices(path: Path) -> tuple[Float[np.ndarray, "v 3"], bytes]:
     """Positions and the text of the faces: all that a target needs beside its neutral."""
-    content = checked_content(path, "OBJ", ModelError)
+    content = _content(path)
     with reading(path, "OBJ", REMEDY, ModelError):
         return _vertices_and_faces(path, content)
+
+
+def _content(path: Path) -> bytes:
+    return checked_content(path, "OBJ", ModelError).removeprefix(BOM_UTF8)
 
 
 def _vertices_and_faces(path: Path, content: bytes) -> tuple[Float[np.ndarray, "v 3"], bytes]:

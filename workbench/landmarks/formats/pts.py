@@ -24,7 +24,7 @@ def pts_text(landmarks: Landmarks2D) -> str:
 
 def read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
     """The one record of a file; without `image_size` the smallest size that contains all points stands in."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     opening = next((i for i, line in enumerate(lines) if line.strip() == "{"), None)
     closing = next((i for i, line in enumerate(lines) if line.strip() == "}"), None)
     if not lines or not lines[0].strip().startswith("version") or opening is None:
