@@ -354,7 +354,7 @@ def test_a_landmark_file_without_any_face_says_so(run, tmp_path, place):
     code, out, err = run("track", "none.csv", "--no-pictures", "--face", "320,200")
     assert code == 1
     assert "0 of 1 with a face" in out
-    assert err.startswith("error: The landmark file has no face in any frame: its points are missing or all at one")
+    assert err.startswith("error: The landmark file has no face in any frame: its points are missing, all at one")
     assert "--detector" not in err
 
 
