@@ -15,6 +15,8 @@ from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.camera_bar import CameraBar, cameras_by_name
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
@@ -35,8 +37,9 @@ class LivePanel(widgets.VBox):
 
     `camera`: None for the browser's camera, a number or a video file for one of the kernel's, or a `FrameSource`.
     Frames are dropped rather than queued: of those that arrive during a fit only the latest counts. All work is done
-    in one thread, so cells can still run. `fit` is the latest fit, `track` the last recording. Raises `InputError` for
-    a video that does not exist and for a Deep Energies configuration.
+    in one thread, so cells can still run. `fit` is the latest fit, `track` the last recording. In JupyterLab, a rerun
+    of the cell that made it closes it. Raises `InputError` for a video that does not exist and for a Deep Energies
+    configuration.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class LivePanel(widgets.VBox):
         super().__init__([style_sheet(), self.drags, *rows])
         classed(self, "fw-panel", "fw-live-panel")
         self._closed = False
+        replace_earlier(self)
         self.say(WELCOME)
 
     def __repr__(self) -> str:
@@ -145,8 +149,7 @@ class LivePanel(widgets.VBox):
         self._closed = True
         self._worker.close()
         self._slow.close()
-        self.view.close()
-        super().close()
+        close_all_of(self)
 
     # --- parts ---
 
