@@ -36,10 +36,9 @@ class LivePanel(widgets.VBox):
     """Tracks a face in front of a camera and fits every frame; show it with `LivePanel()` and press start.
 
     `camera`: None for the browser's camera, a number or a video file for one of the kernel's, or a `FrameSource`.
-    Frames are dropped rather than queued: of those that arrive during a fit only the latest counts. All work is done
-    in one thread, so cells can still run. `fit` is the latest fit, `track` the last recording. In JupyterLab, a rerun
-    of the cell that made it closes it. Raises `InputError` for a video that does not exist and for a Deep Energies
-    configuration.
+    Frames are dropped, not queued: of those that arrive during a fit only the latest counts. All work is done in one
+    thread, so cells can still run; in JupyterLab, a rerun of its cell closes it. `fit` is the latest fit, `track` the
+    last recording. Raises `InputError` for a video that does not exist and for a Deep Energies configuration.
     """
 
     def __init__(
