@@ -70,6 +70,16 @@ while time.monotonic() < until:
     lifted += publisher.getsockopt(zmq.SNDHWM) == UNLIMITED
 print(lifted)
 """
+PANEL = """
+from workbench.widgets import LightPanel
+
+before = globals().get("panel")
+panel = LightPanel(lambda light: numpy.zeros((8, 8, 3)))
+deadline = time.monotonic() + {wait_s}
+while before is not None and before.comm is not None and time.monotonic() < deadline:
+    time.sleep(0.01)
+print("panel", before is None or before.comm is None, panel.comm is not None)
+"""
 LONGEST_S = 60.0
 MANY = 20000
 """Messages: far more than ZeroMQ keeps by itself, and the buffers of a connection hold."""
@@ -132,6 +142,20 @@ def test_a_widget_hears_the_browser_while_a_cell_runs(kernel, subshell, widget, 
     message["header"]["subshell_id"] = subshell
     kernel.shell_channel.send(message)
     assert printed(kernel, "heard") == "heard [True]"
+
+
+@pytest.mark.parametrize(
+    ("metadata", "closed", "wait_s"), [({"cellId": "a"}, True, 30), ({}, False, 0.3)], ids=["JupyterLab", "no cell"]
+)
+def test_a_rerun_of_a_cell_replaces_its_panel_where_the_front_end_names_the_cell(
+    kernel, widget, metadata, closed, wait_s
+):
+    kernel.execute("import time\nimport numpy\npanel = None")
+    content = {"silent": False, "store_history": True, "user_expressions": {}, "allow_stdin": False}
+    for told in ("panel True True", f"panel {closed} True"):
+        code = {"code": PANEL.format(wait_s=wait_s)}
+        kernel.shell_channel.send(kernel.session.msg("execute_request", content | code, metadata=metadata))
+        assert printed(kernel, "panel") == told
 
 
 @pytest.fixture(params=["page of before", "page opened later"])

@@ -48,8 +48,21 @@ CELLS = (
     READY,
     "    panel.close()" + PANEL.format(name="astronaut"),
     browser.BUSY_CELL,
+    """
+    another = TuningPanel(session, backend="webgl")
+    another
+    """,
 )
-CLIP, SECOND, BUSY = 5, 7, 8
+CLIP, SECOND, BUSY, ANOTHER = 5, 7, 8, 9
+OPEN = """
+import comm, gc, ipywidgets, threading
+
+def opened():
+    gc.collect()
+    threads = sorted(thread.name for thread in threading.enumerate() if "panel" in thread.name)
+    return len(ipywidgets.widgets.widget._instances), len(comm.get_comm_manager().comms), threads
+"""
+"""How many widgets and connections are open, and which threads work for panels."""
 
 
 @pytest.fixture(scope="module")
@@ -330,6 +343,22 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
     assert clip.foreign_requests == []
     assert clip.page_errors == []
     assert [text for text in clip.console_errors if "404" not in text] == []
+    assert clip.wrong_outputs() == []
+
+
+def test_a_rerun_of_the_cell_replaces_its_panel(clip):
+    """A second one would go on unseen: with its threads, its widgets, and a fit after each move of a slider."""
+    clip.ask_kernel(OPEN)
+    alone, seen = clip.kernel_value("opened()"), []
+    for _ in range(3):
+        clip.run_cell(ANOTHER)
+        clip.ask_kernel("another.wait_idle(300)")
+        seen.append(clip.kernel_value("opened()"))
+        browser.wait_until(lambda: clip.kernel_value("opened()") == seen[0], "the panel of before is closed")
+    assert seen[0] != alone
+    clip.ask_kernel("another.close()")
+    browser.wait_until(lambda: clip.kernel_value("opened()") == alone, "the last one is closed")
+    assert clip.kernel_value("panel.wait_idle(60)") == "True"
     assert clip.wrong_outputs() == []
 
 

@@ -29,6 +29,14 @@ def browser_program(name: str, folder: Path = BROWSER) -> str:
     return "\n".join([*(_called(path, folder) for path in _needed(entry)), _text(entry, folder)])
 
 
+def style_text(name: str, folder: Path = BROWSER) -> str:
+    """The style sheet of a file such as "chart/view.css": a string for `_css`.
+
+    Of a path, anywidget would follow the file for each widget, and so keep every widget for good.
+    """
+    return (folder / name).read_text(encoding="utf-8")
+
+
 def _needed(path: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     """The modules that a module imports, each after its own dependencies."""
     if path in above:

@@ -37,7 +37,7 @@ class CameraBar:
         )  # fmt: skip
         self.run.observe(lambda change: switch(change["new"]), "value")
         # Linked in the browser, so that the camera switches off even while the kernel is busy.
-        widgets.jsdlink((self.run, "value"), (view, "running"))
+        running = widgets.jsdlink((self.run, "value"), (view, "running"))
         self.camera = menu(list(cameras), "150px", "source of the pictures")
         self.camera.observe(lambda _change: changed(), "value")
         self.neutral = small_button("☺ neutral face", "look into the camera with a neutral face, then press")
@@ -46,7 +46,7 @@ class CameraBar:
             value=True, description="mirror", tooltip="show everything mirrored",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
-        widgets.jsdlink((self.mirror, "value"), (view, "mirror"))
+        self._links = running, widgets.jsdlink((self.mirror, "value"), (view, "mirror"))
         self.looking = menu(LOOKS, "160px", "how the avatar is shown; drag to turn it")
         self.looking.observe(lambda change: setattr(view, "looking", change["new"]), "value")
         self.widgets, self.looks = (self.run, self.camera, self.neutral), (self.mirror, self.looking)

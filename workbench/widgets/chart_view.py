@@ -11,7 +11,7 @@ from jaxtyping import Num
 
 from workbench.errors import InputError
 from workbench.session.parts import parts_of
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 from workbench.widgets.overlay_view import float_bytes
 
 Number = float | int
@@ -65,7 +65,7 @@ class ChartView(anywidget.AnyWidget):
     """
 
     _esm = browser_program("chart/view.js")
-    _css = BROWSER / "chart" / "view.css"
+    _css = style_text("chart/view.css")
 
     title = traitlets.Unicode("").tag(sync=True)
     y_log = traitlets.Bool(False).tag(sync=True)

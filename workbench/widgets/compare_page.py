@@ -9,6 +9,7 @@ from workbench.session import TuningSession
 from workbench.session.comparing import Compared, against, compared
 from workbench.session.tuned_config import NOW, START
 from workbench.widgets.changes_page import comparison_html, configurations, metrics_under
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView, legend
@@ -41,6 +42,7 @@ class ComparePage(widgets.VBox):
         self._frame, self._open = 0, False
         self._worker: LatestWins[int] = LatestWins(self._work, failed, "panel-compare")
         self.views: list[HeadView] = []
+        self._links: list[widgets.Widget] = []
         self.choices = [
             widgets.Dropdown(options=options, value=value, tooltip=tip, layout=widgets.Layout(width=f"{SIZE[0]}px"))
             for options, value, tip in (
@@ -62,8 +64,10 @@ class ComparePage(widgets.VBox):
             for choice, caption in zip(self.choices, self.captions, strict=True)
         ]
         self.table, self.scale = widgets.HTML(HINT), widgets.HTML()
-        beside = widgets.VBox([widgets.HBox([self.color, self.fit_all]), self.scale, self.table])
-        beside.layout = widgets.Layout(flex="1 1 0", min_width="0", overflow="auto")
+        beside = widgets.VBox(
+            [widgets.HBox([self.color, self.fit_all]), self.scale, self.table],
+            layout=widgets.Layout(flex="1 1 0", min_width="0", overflow="auto"),
+        )
         super().__init__([widgets.HBox([*self._cells, beside])], layout=widgets.Layout(overflow="auto hidden"))
         self.add_class("fw-compare")
         self.refresh()
@@ -107,10 +111,12 @@ class ComparePage(widgets.VBox):
         for view, cell in zip(self.views, self._cells, strict=True):
             view.set_view("camera")
             view.widget.children = view.widget.children[:1]  # one scale for all stands beside them
-            cell.children = (cell.children[0], view.widget, cell.children[2])
+            choice, empty, caption = cell.children
+            cell.children = (choice, view.widget, caption)
+            close_all_of(empty)
         canvases = [view.canvas for view in self.views if hasattr(view, "canvas")]
         for canvas in canvases[1:]:
-            widgets.jslink((canvases[0], "_viewpoint"), (canvas, "_viewpoint"))
+            self._links.append(widgets.jslink((canvases[0], "_viewpoint"), (canvas, "_viewpoint")))
 
     def _ask(self) -> None:
         if self._open:

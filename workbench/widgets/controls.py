@@ -44,7 +44,7 @@ class Controls:
         )  # fmt: skip
         for asking in (self.search, self.changed):
             asking.observe(lambda _change: self._find(), "value")
-        self.found = widgets.VBox(layout=self._page_layout())
+        self.found, self._none = widgets.VBox(layout=self._page_layout()), widgets.HTML()
         self.found.layout.display = "none"
         self.pages = widgets.Tab(layout=widgets.Layout(width="100%"))
         asked = widgets.HBox([self.search, self.changed], layout=widgets.Layout(flex="0 0 auto"))
@@ -98,7 +98,8 @@ class Controls:
             if (not text or control.knob.matches(text)) and (not changed or control.value != control.start)
         ]
         asked = bool(text) or changed
-        self.found.children = found or [widgets.HTML(NOT_FOUND if text else NONE_CHANGED)] if asked else ()
+        self._none.value = NOT_FOUND if text else NONE_CHANGED
+        self.found.children = found or [self._none] if asked else ()
         self.found.layout.display = None if asked else "none"
         self.pages.layout.display = "none" if asked else None
 

@@ -8,6 +8,7 @@ import ipywidgets as widgets
 from workbench.config import Config
 from workbench.diagnosis.records import Change, Diagnosis, Reason
 from workbench.session.history import Step
+from workbench.widgets.closing import refill
 from workbench.widgets.waiting import OLD
 
 MOST_REASONS = 5
@@ -33,11 +34,10 @@ class DiagnosisView:
         )  # fmt: skip
         self.ask.on_click(lambda _button: ask())
         self.status = widgets.HTML()
-        self.reasons = widgets.VBox()
+        self.reasons = widgets.VBox(layout=widgets.Layout(flex="1.2 1 0", min_width="0"))
         self.tables = widgets.HTML(layout=widgets.Layout(flex="1 1 0", min_width="0"))
         self.apply_buttons: list[widgets.Button] = []
         self._said, self._outdated, self._applied = "", False, set[widgets.Button]()
-        self.reasons.layout = widgets.Layout(flex="1.2 1 0", min_width="0")
         body = widgets.HBox([self.reasons, self.tables], layout=widgets.Layout(flex="0 0 auto"))
         self.widget = widgets.VBox(
             [widgets.HBox([self.ask, self.status], layout=widgets.Layout(flex="0 0 auto")), body],
@@ -73,7 +73,7 @@ class DiagnosisView:
         reasons = diagnosis.reasons[:MOST_REASONS]
         self.apply_buttons, self._applied, self._outdated = [], set(), False
         self.reasons.layout.display = None if reasons else "none"
-        self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
+        refill(self.reasons, [self._row(k, reason) for k, reason in enumerate(reasons, 1)])
         self.tables.value = pulls_table(diagnosis) + uncertainty_table(diagnosis)
         self.say(f"Frame {frame}: {found_text(len(reasons), diagnosis.flag)}")
 

@@ -113,6 +113,11 @@ def after_message(work: Callable[[], object], seconds: float = 0.0) -> None:
         loop.call_soon(work)
 
 
+def handles_messages() -> bool:
+    """Whether this is a kernel's thread for cells and messages."""
+    return _own_loop() is not None
+
+
 def _own_loop() -> asyncio.AbstractEventLoop | None:
     """The loop that this thread runs; None outside a kernel's threads for cells and messages."""
     try:

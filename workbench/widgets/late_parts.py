@@ -6,6 +6,7 @@ from typing import Any
 
 import ipywidgets as widgets
 
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.kernel_comms import after_message
 
 
@@ -36,7 +37,7 @@ class LateParts(widgets.VBox):
         if not closed:
             if self._made and self._failure is None:
                 self._close_parts()
-            super().close()
+            close_all_of(self)
 
     def _make(self) -> None:
         with self._making:

@@ -17,6 +17,8 @@ from workbench.plots import as_picture, ball_normals
 from workbench.rendering import ambient_light, directional_light, spherical_harmonics
 from workbench.rendering.lighting import LAMBERT
 from workbench.runtime import COMPUTING
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.playground import Number, jpeg
 
 Light = Float[np.ndarray, "9 3"]
@@ -55,7 +57,7 @@ class LightPanel(widgets.VBox):
 
     The lamp sets the coefficients; moving a single coefficient does not change the lamp. `draw` takes the light and
     returns colours from 0 to 1; it is called with `COMPUTING` held, from the thread in which a slider moves. `light`
-    is the light shown.
+    is the light shown. In JupyterLab, a rerun of the cell that made it closes it.
     """
 
     def __init__(self, draw: Callable[[Light], Float[AnyArray, "h w 3"]]) -> None:
@@ -84,6 +86,7 @@ class LightPanel(widgets.VBox):
         )
         self.light = np.zeros((9, 3))
         self._on_lamp(None)
+        replace_earlier(self)
 
     def __repr__(self) -> str:
         return f"LightPanel({[round(slider.value, 2) for slider in self.coefficients]})"
@@ -93,6 +96,10 @@ class LightPanel(widgets.VBox):
         with self._lock:
             self._place(light.mean(axis=1))
             self._show(light)
+
+    def close(self) -> None:
+        """Close the panel and its sliders."""
+        close_all_of(self)
 
     def _on_lamp(self, _change) -> None:
         with self._lock:

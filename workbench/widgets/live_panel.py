@@ -15,6 +15,8 @@ from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.camera_bar import CameraBar, cameras_by_name
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
@@ -34,9 +36,9 @@ class LivePanel(widgets.VBox):
     """Tracks a face in front of a camera and fits every frame; show it with `LivePanel()` and press start.
 
     `camera`: None for the browser's camera, a number or a video file for one of the kernel's, or a `FrameSource`.
-    Frames are dropped rather than queued: of those that arrive during a fit only the latest counts. All work is done
-    in one thread, so cells can still run. `fit` is the latest fit, `track` the last recording. Raises `InputError` for
-    a video that does not exist and for a Deep Energies configuration.
+    Frames are dropped, not queued: of those that arrive during a fit only the latest counts. All work is done in one
+    thread, so cells can still run; in JupyterLab, a rerun of its cell closes it. `fit` is the latest fit, `track` the
+    last recording. Raises `InputError` for a video that does not exist and for a Deep Energies configuration.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class LivePanel(widgets.VBox):
         super().__init__([style_sheet(), self.drags, *rows])
         classed(self, "fw-panel", "fw-live-panel")
         self._closed = False
+        replace_earlier(self)
         self.say(WELCOME)
 
     def __repr__(self) -> str:
@@ -145,8 +148,7 @@ class LivePanel(widgets.VBox):
         self._closed = True
         self._worker.close()
         self._slow.close()
-        self.view.close()
-        super().close()
+        close_all_of(self)
 
     # --- parts ---
 

@@ -17,7 +17,7 @@ from workbench.landmarks.scheme import POLYLINES
 from workbench.pictures.head_picture import portrait_view
 from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble
 from workbench.tracking import FrameFit
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 from workbench.widgets.head_mesh import surface_message
 from workbench.widgets.overlay_view import color_table
 
@@ -62,7 +62,7 @@ class LiveView(anywidget.AnyWidget):
     """
 
     _esm = browser_program("live/view.js")
-    _css = BROWSER / "live" / "view.css"
+    _css = style_text("live/view.css")
 
     running = traitlets.Bool(False).tag(sync=True)
     mirror = traitlets.Bool(True, help="show everything mirrored").tag(sync=True)

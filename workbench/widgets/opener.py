@@ -14,6 +14,8 @@ from workbench.landmarks.files import SUFFIXES
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
 from workbench.session.material import stored_track
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.controls import small_button
 from workbench.widgets.detection_preview import DetectionPreview
 from workbench.widgets.latest import LatestWins
@@ -68,7 +70,8 @@ class SessionOpener(widgets.VBox):
 
     Opening runs in its own thread; a newer choice cancels an older one, and the previous panel is closed. Where that
     would lose work, it stays until the button `anyway` is pressed. An error is shown as one sentence below the chooser;
-    the open panel stays. `session` and `panel` are None until something is open.
+    the open panel stays. `session` and `panel` are None until something is open. In JupyterLab, a rerun of the cell
+    that made it closes it with its panel; the session stays open for any other user of it.
     """
 
     def __init__(self, make_panel: Callable[[TuningSession], widgets.Widget] = TuningPanel) -> None:
@@ -100,6 +103,7 @@ class SessionOpener(widgets.VBox):
         choices = [*self.samples.values(), self.upload, self.path, self.landmarks, self.open_button]
         said = [self.progress, self.message, self.anyway, self.stay]
         super().__init__([_row(choices), _row(said), self.preview, self.place])
+        replace_earlier(self)
 
     def __repr__(self) -> str:
         return f"SessionOpener({self.session!r})"
@@ -123,7 +127,7 @@ class SessionOpener(widgets.VBox):
         self.upload.close()
         if self.panel is not None:
             self.panel.close()
-        super().close()
+        close_all_of(self)
 
     def _on_open(self) -> None:
         if not self.path.value.strip():

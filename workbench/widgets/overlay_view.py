@@ -14,7 +14,7 @@ from jaxtyping import Float, Num, Shaped, UInt8
 from workbench.errors import InputError
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import scheme_of_count
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 from workbench.widgets.encoded_pictures import layer_bytes, picture_bytes
 from workbench.widgets.head_view import scale_colors
 from workbench.widgets.status_line import error_text
@@ -136,7 +136,7 @@ class OverlayView(anywidget.AnyWidget):
     """
 
     _esm = browser_program("overlay/view.js")
-    _css = BROWSER / "overlay" / "view.css"
+    _css = style_text("overlay/view.css")
 
     layers = traitlets.Dict(key_trait=traitlets.Enum(tuple(LAYERS)), value_trait=traitlets.Bool()).tag(sync=True)
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)

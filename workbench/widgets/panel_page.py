@@ -10,7 +10,7 @@ import traitlets
 
 from workbench.errors import InputError
 from workbench.export.suffixes import pictures_folder
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 
 ACTIONS = (
     *("play", "back", "forth", "next", "previous", "in", "out", "fill", "view", "why", "keep", "export"),
@@ -31,7 +31,7 @@ class PanelPage(anywidget.AnyWidget):
     """
 
     _esm = browser_program("panel/view.js")
-    _css = BROWSER / "panel" / "view.css"
+    _css = style_text("panel/view.css")
 
     drag = traitlets.Int(0).tag(sync=True)
     has_keys = traitlets.Bool(False, help="whether the panel has keys").tag(sync=True)

@@ -17,6 +17,7 @@ from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.head_picture import head_painter
 from workbench.widgets.browser_program import browser_program
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.head_view import (
     Carrier,
     Legend,
@@ -72,8 +73,10 @@ class PictureHeadView:
         self._scene = _Scene(Shown(model.neutral.astype(np.float32)), front_viewpoint(model, size))
         self._changed = threading.Condition(threading.RLock())
         self._dirty, self._drawing, self._closed = False, False, False
-        self.canvas = PictureCanvas(_size=list(size), _jpeg=_jpeg(self._draw(self._scene)))
-        self.canvas.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%")
+        self.canvas = PictureCanvas(
+            _size=list(size), _jpeg=_jpeg(self._draw(self._scene)),
+            layout=widgets.Layout(width=f"{size[0]}px", max_width="100%"),
+        )  # fmt: skip
         self.canvas.on_msg(self._on_message)
         self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.canvas, self._legend], layout=widgets.Layout(overflow="hidden"))
@@ -174,8 +177,7 @@ class PictureHeadView:
         if threading.current_thread() is not self._worker:
             self._worker.join(IDLE_S)
         self._painter.close()
-        for part in (self.canvas, self._legend, self.widget):
-            part.close()
+        close_all_of(self)
 
     def _show(self, shown: Shown, viewpoint: Viewpoint | None = None) -> None:
         viewpoint = self._scene.viewpoint if viewpoint is None else viewpoint

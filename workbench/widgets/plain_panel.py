@@ -7,7 +7,9 @@ from workbench.pictures import HeadPanel, draw_overlay, side_by_side
 from workbench.plots import close_up
 from workbench.session import TuningSession
 from workbench.session.knobs import changed_by, label_of
+from workbench.widgets.cell_reruns import replace_earlier
 from workbench.widgets.character_choice import CharacterChoice
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.controls import Controls
 from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.kernel_comms import lose_no_messages
@@ -24,6 +26,7 @@ class PlainPanel(widgets.VBox):
 
     It has the settings, history and frames of a `TuningPanel`; landmarks cannot be picked, and the head does not turn.
     Callbacks submit to a worker, and only the latest counts; scripts and tests wait for it with `wait_idle`.
+    In JupyterLab, a rerun of the cell that made it closes it.
     """
 
     def __init__(self, session: TuningSession) -> None:
@@ -46,6 +49,7 @@ class PlainPanel(widgets.VBox):
         seen = widgets.VBox([self.frame, self.image, self.status], layout=widgets.Layout(flex="1 1 0", min_width="0"))
         super().__init__([style_sheet(), self.history.widget, widgets.HBox([self.controls.widget, seen])])
         classed(self, "fw-panel")
+        replace_earlier(self)
         self._show_config()
         self._worker.submit(0)
 
@@ -64,7 +68,7 @@ class PlainPanel(widgets.VBox):
         self._leave()
         self._worker.close()
         self._heads.painter.close()
-        super().close()
+        close_all_of(self)
 
     def _on_knob(self, path: str, value: object) -> None:
         changes = changed_by(self.session.config, path, value)

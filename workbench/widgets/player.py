@@ -15,6 +15,8 @@ from workbench.pictures.overlay import draw_overlay
 from workbench.session import FittedHead
 from workbench.session.material import PictureStore
 from workbench.tracking import Track
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.playground import jpeg
@@ -27,8 +29,9 @@ class AvatarPlayer(widgets.VBox):
     """Play, stop and a slider over the frames; the head can be turned with the mouse while it plays.
 
     The browser keeps the time; a kernel that cannot keep up skips frames instead of lagging behind. With `pictures`,
-    the input with its fit is shown next to the head; `dressed` shows the default head as a character. Raises
-    `InputError` for a model other than the track's and for a track without frames.
+    the input with its fit is shown next to the head; `dressed` shows the default head as a character. In
+    JupyterLab, a rerun of the cell that made it closes it. Raises `InputError` for a model other than the track's and
+    for a track without frames.
     """
 
     def __init__(
@@ -57,7 +60,7 @@ class AvatarPlayer(widgets.VBox):
         self.looking = widgets.Dropdown(options=VIEWS, layout=widgets.Layout(width="180px"))
         self.status = widgets.HTML()
         self.image = widgets.Image(format="jpeg", layout=widgets.Layout(height=f"{height_px}px", max_width="60%"))
-        widgets.jslink((self.play, "value"), (self.slider, "value"))
+        self._link = widgets.jslink((self.play, "value"), (self.slider, "value"))
         self._worker = LatestWins(self._show, self._failed, name="avatar-player")
         self.slider.observe(lambda change: self._worker.submit(change["new"]), "value")
         self.looking.observe(lambda change: self.view.set_view(change["new"]), "value")
@@ -65,6 +68,7 @@ class AvatarPlayer(widgets.VBox):
         controls = widgets.HBox([self.play, self.slider, self.looking], layout=widgets.Layout(max_width="900px"))
         super().__init__([widgets.HBox(shown, layout=widgets.Layout(max_width="100%")), controls, self.status])
         self._show(0)
+        replace_earlier(self)
 
     def __repr__(self) -> str:
         return f"AvatarPlayer({len(self._track)} frames, {self._head.model.name!r})"
@@ -78,7 +82,7 @@ class AvatarPlayer(widgets.VBox):
         for part in (self._worker, self.view):
             if part is not None:
                 part.close()
-        super().close()
+        close_all_of(self)
 
     def _show(self, position: int) -> None:
         with self._lock:

@@ -17,6 +17,8 @@ from workbench.pictures.overlay import OverlayParts
 from workbench.plots import close_up
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation
+from workbench.widgets.cell_reruns import replace_earlier
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.controls import preset_names
 
 PARTS = OverlayParts(text=False)
@@ -72,8 +74,8 @@ class FitPlayground(widgets.VBox):
     """Sliders on one photo: every move re-fits it and shows the overlay, the 3D head and the error.
 
     Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in its own
-    thread. `fit` and `config` hold the latest result; `dressed` shows the default head as a character. Raises
-    `InputError` for a Deep Energies configuration.
+    thread. `fit` and `config` hold the latest result; `dressed` shows the default head as a character. In
+    JupyterLab, a rerun of the cell that made it closes it. Raises `InputError` for a Deep Energies configuration.
     """
 
     def __init__(
@@ -115,6 +117,7 @@ class FitPlayground(widgets.VBox):
             layout=widgets.Layout(grid_template_columns="repeat(2, minmax(280px, 1fr))", max_width=f"{2 * SIDE_PX}px"),
         )
         super().__init__([grid, self.status, self.image])
+        replace_earlier(self)
         self.refit()
 
     def __repr__(self) -> str:
@@ -139,7 +142,7 @@ class FitPlayground(widgets.VBox):
         """Close the widget and its renderer."""
         if self._panel is not None:
             self._panel.painter.close()
-        super().close()
+        close_all_of(self)
 
     def _draw(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"]:
         head = self._panel.submit(fit)  # drawn in parallel with the overlay

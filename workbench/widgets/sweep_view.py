@@ -11,7 +11,7 @@ import traitlets
 from workbench.objectives import TABLE
 from workbench.sweeps import Axis, SweepResult
 from workbench.sweeps.space import shown
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 from workbench.widgets.overlay_view import float_bytes
 
 NOTHING = {"kind": "", "axes": [], "label": "", "count": 0, "data": b"", "now": None}
@@ -23,7 +23,7 @@ class SweepView(anywidget.AnyWidget):
     """
 
     _esm = browser_program("sweep/view.js")
-    _css = BROWSER / "sweep" / "view.css"
+    _css = style_text("sweep/view.css")
 
     height_px = traitlets.Int(150, min=80).tag(sync=True)
     _sent = traitlets.Dict(NOTHING).tag(sync=True)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Num, UInt8
 
 from workbench.errors import InputError
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
-from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.browser_program import browser_program, style_text
 from workbench.widgets.overlay_view import SMALLEST_SCALE, automatic_scale, color_table, float_bytes
 
 NOTHING = 255
@@ -70,7 +70,7 @@ class TimelineView(anywidget.AnyWidget):
     """
 
     _esm = browser_program("timeline/view.js")
-    _css = BROWSER / "timeline" / "view.css"
+    _css = style_text("timeline/view.css")
 
     frame = traitlets.Int(0, help="the current frame").tag(sync=True)
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0: automatic").tag(sync=True)

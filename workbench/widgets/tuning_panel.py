@@ -14,6 +14,7 @@ import workbench
 from workbench.session import TuningSession
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by, label_of
+from workbench.widgets.cell_reruns import replace_earlier
 from workbench.widgets.encoded_pictures import picture_bytes
 from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.late_parts import LateParts
@@ -49,7 +50,8 @@ class TuningPanel(LateParts):
 
     Callbacks submit requests to a worker, and only the latest counts; results are shown from its thread. Scripts and
     tests wait for it with `wait_idle`. It is as high as the window, at least `LOWEST_PX`.
-    In a notebook it starts as the first frame alone.
+    In a notebook it starts as the first frame alone. `close` frees it; in JupyterLab, a rerun of the cell that made it
+    closes it, too.
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
@@ -59,6 +61,7 @@ class TuningPanel(LateParts):
         self._held, self._behind, self._backend, self._shown = "", "", backend, threading.Event()
         super().__init__([style_sheet(), classed(widgets.Image(value=picture_bytes(session.picture(0))), "fw-first")])
         classed(self, "fw-panel", "fw-whole")
+        replace_earlier(self)
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"

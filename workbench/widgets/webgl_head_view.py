@@ -17,6 +17,7 @@ from workbench.geometry import Camera
 from workbench.pictures.extras import SEGMENT_MM
 from workbench.pictures.head_picture import head_painter
 from workbench.widgets.browser_program import browser_program
+from workbench.widgets.closing import close_all_of
 from workbench.widgets.head_mesh import rods_message, surface_message
 from workbench.widgets.head_view import (
     Carrier,
@@ -108,8 +109,8 @@ class WebGLHeadView:
         self.canvas = WebGLCanvas(
             _size=list(size), _mesh=surface_message(model, dressed), _vertices=_packed(model.neutral),
             _person=self._person(model.neutral), _viewpoint=self._front, _front=self._front, _fills=fills,
+            layout=widgets.Layout(width="auto" if fills else f"{size[0]}px", max_width="100%"),
         )  # fmt: skip
-        self.canvas.layout = widgets.Layout(width="auto" if fills else f"{size[0]}px", max_width="100%")
         self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.canvas, self._legend], layout=widgets.Layout(overflow="hidden"))
 
@@ -218,8 +219,7 @@ class WebGLHeadView:
 
     def close(self) -> None:
         """See `HeadView.close`."""
-        for part in (self.canvas, self._legend, self.widget):
-            part.close()
+        close_all_of(self)
 
     def _person(self, rest: Float[np.ndarray, "v 3"]) -> dict[str, object]:
         return NOTHING if self._dressed is None else person_message(self._dressed, rest)
