@@ -19,14 +19,13 @@ import pytest
 
 import workbench
 from tests.scenes import make_scene
-from tests.stereo_scenes import make_rig
 from tests.test_nothing_lost import small_disk
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config
-from workbench.errors import InputError, WorkbenchWarning
+from workbench.errors import WorkbenchWarning
 from workbench.frames import write_picture
-from workbench.geometry import write_rig, yaw_pitch_roll_deg
+from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -84,51 +83,6 @@ def test_a_character_of_ones_own_is_stored_where_every_folder_finds_it(run, poin
     (tmp_path / "me" / "character.toml").write_text("")
     assert run("track", "points.csv", "--no-pictures", "--character", "me", "--out", "here")[0] == 0
     assert read_config(tmp_path / "here" / "config.toml").head.character == str(tmp_path / "me")
-
-
-def test_a_run_by_a_rig_can_be_repeated_from_another_folder(run, points, tmp_path, monkeypatch):
-    write_rig(make_rig(), tmp_path / "rig.toml")
-    assert run("track", "points.csv", "--no-pictures", "--no-identity", "--rig", "rig.toml", "--out", "first")[0] == 0
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    again = ("track", str(points), "--no-pictures", "--config", "../first/config.toml", "--out", "second")
-    assert run(*again)[0] == 0
-    first, second = (Track.load(tmp_path / name / "track.npz") for name in ("first", "elsewhere/second"))
-    np.testing.assert_array_equal(first.expression, second.expression)
-    _, _, err = run("track", str(points), "--no-pictures", "--rig", "rig.toml", "--out", "third")
-    assert f"The rig file {tmp_path / 'elsewhere' / 'rig.toml'} does not exist" in err
-
-
-def test_what_is_no_option_but_typed_into_a_configuration_stays_as_it_is_typed(run, points, tmp_path):
-    write_rig(make_rig(), tmp_path / "rig.toml")
-    write_config(preset("joint").changed(camera={"rig": "rig.toml"}), tmp_path / "mine.toml")
-    assert (
-        run("track", "points.csv", "--no-pictures", "--no-identity", "--config", "mine.toml", "--out", "here")[0] == 0
-    )
-    assert read_config(tmp_path / "here" / "config.toml").camera.rig == "rig.toml"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "section", "key", "name"),
-    [
-        (["--preset", "deep", "--network", "net.safetensors"], "deep", "network", "{}/net.safetensors"),
-        (["--preset", "deep", "--network", "landmarks"], "deep", "network", "landmarks"),
-        (["--detector", "mediapipe", "--face-landmarker", "f.task"], "landmarks", "face_landmarker", "{}/f.task"),
-    ],
-)
-def test_files_that_options_name_are_named_as_in_any_folder(
-    run, points, tmp_path, monkeypatch, arguments, section, key, name
-):
-    (tmp_path / "net.safetensors").touch()
-    given = []
-
-    def track(inputs, folder, model, config, **options):
-        given.append(getattr(getattr(config, section), key))
-        raise InputError("enough")
-
-    monkeypatch.setattr(workbench.pipeline, "track", track)
-    assert run("track", "points.csv", *arguments)[0] == 2
-    assert given == [name.format(tmp_path)]
 
 
 def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does_not(run, points, tmp_path):

@@ -7,15 +7,7 @@ import typer
 
 import workbench
 from workbench.cli import screen
-from workbench.cli.tracking import (
-    OVERWRITE_HELP,
-    face_model,
-    frame_range,
-    lasting_file,
-    named_views,
-    print_result,
-    track_file,
-)
+from workbench.cli.tracking import OVERWRITE_HELP, face_model, frame_range, named_views, print_result, track_file
 from workbench.config import InfillConfig, RefinementConfig
 from workbench.errors import ConfigError
 
@@ -162,7 +154,7 @@ def _check_range(wanted: list[tuple[int, int]], run: Path) -> None:
 
 
 def _flow(estimator: str | None, renders: str | None) -> dict[str, str]:
-    given = {"estimator": None if estimator is None else lasting_file(estimator), "renders": renders}
+    given = {"estimator": estimator, "renders": renders}
     return {name: value for name, value in given.items() if value is not None}
 
 
@@ -170,7 +162,7 @@ def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, vi
     """The result of these steps on a run's track, told."""
     stored = track_file(run)
     if rig is not None:
-        changes = {**changes, "camera": {"rig": str(rig.absolute())}}
+        changes = {**changes, "camera": {"rig": str(rig)}}
     config = workbench.pipeline.config_of(workbench.tracking.TrackReader(stored).meta).changed(**changes)
     model = face_model(model_path)
     home = stored.parent if stored.parent.name not in ("", "..") else stored.resolve().parent

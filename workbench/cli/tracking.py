@@ -192,9 +192,8 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         if base.camera.matrix is not None:
             camera["distortion"] = []  # of the measured lens
     if rig is not None:
-        camera["rig"] = str(rig.absolute())
-    named = None if network is None else lasting_file(network)
-    deep = {name: value for name, value in (("energy", energy), ("network", named)) if value is not None}
+        camera["rig"] = str(rig)
+    deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
     if deep and not base.traits.reads("deep"):
         raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
     changes = {
@@ -206,11 +205,6 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         "refinement": {} if refine is None else {"method": refine},
     }
     return base.changed(**changes)
-
-
-def lasting_file(name: str) -> str:
-    """What may be a file, named as in any folder; a word for what comes along as it is."""
-    return str(Path(name).absolute()) if Path(name).is_file() else name
 
 
 def base_config(config: Path | None, preset_name: str | None) -> Config:
@@ -253,7 +247,7 @@ def with_landmarker(config: Config, path: Path) -> Config:
     """The configuration with the file of `--face-landmarker`; raises `ConfigError` where no detector reads it."""
     if config.landmarks.detector != "mediapipe":
         raise ConfigError("--face-landmarker belongs to the detector mediapipe; add --detector mediapipe.")
-    return config.changed(landmarks={"face_landmarker": str(path.absolute())})
+    return config.changed(landmarks={"face_landmarker": str(path)})
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:
