@@ -348,6 +348,8 @@ def test_weights_are_at_their_bound_where_the_models_range_ends(head, config, cl
             meta = {"expression_names": list(head.expression_names), "model": model_record(model)}
             flags = flag_frames(Track(**stack_fits(fits), meta=meta), config)
             assert ("weights are at their bound" in flags.text[3]) == (weight >= bound)
+    fits[3] = replace(fits[3], expression=np.full(count, -3.0))
+    assert "weights are at their bound" in flag_frames(Track(**stack_fits(fits), meta=meta), config).text[3]
 
 
 def test_flags_name_what_stands_out(head, config):

@@ -73,12 +73,18 @@ print(lifted)
 PANEL = """
 from workbench.widgets import LightPanel
 
-before = globals().get("panel")
-panel = LightPanel(lambda light: numpy.zeros((8, 8, 3)))
+def shown(light):
+    return numpy.zeros((8, 8, 3))
+
+before = weakref.ref(panel) if panel else lambda: None
+panel = LightPanel(shown)
+kept = kept or [LightPanel(shown)]
+"""
+WHICH = """
 deadline = time.monotonic() + {wait_s}
-while before is not None and before.comm is not None and time.monotonic() < deadline:
+while before() is not None and before().comm is not None and time.monotonic() < deadline:
     time.sleep(0.01)
-print("panel", before is None or before.comm is None, panel.comm is not None)
+print("panel", before() is None or before().comm is None, panel.comm is not None, kept[0].comm is not None)
 """
 LONGEST_S = 60.0
 MANY = 20000
@@ -150,11 +156,11 @@ def test_a_widget_hears_the_browser_while_a_cell_runs(kernel, subshell, widget, 
 def test_a_rerun_of_a_cell_replaces_its_panel_where_the_front_end_names_the_cell(
     kernel, widget, metadata, closed, wait_s
 ):
-    kernel.execute("import time\nimport numpy\npanel = None")
-    content = {"silent": False, "store_history": True, "user_expressions": {}, "allow_stdin": False}
-    for told in ("panel True True", f"panel {closed} True"):
-        code = {"code": PANEL.format(wait_s=wait_s)}
-        kernel.shell_channel.send(kernel.session.msg("execute_request", content | code, metadata=metadata))
+    kernel.execute("import time, weakref\nimport numpy\npanel = kept = None")
+    content = {"code": PANEL, "silent": False, "store_history": True, "user_expressions": {}, "allow_stdin": False}
+    for told in ("panel True True True", f"panel {closed} True True"):
+        kernel.shell_channel.send(kernel.session.msg("execute_request", content, metadata=metadata))
+        kernel.execute(WHICH.format(wait_s=wait_s))
         assert printed(kernel, "panel") == told
 
 

@@ -4,11 +4,13 @@ import asyncio
 import gc
 import time
 import weakref
+from types import SimpleNamespace
 
 import comm
 import ipywidgets as widgets
 import numpy as np
 import pytest
+from IPython.core.events import EventManager
 
 from tests.performances import performance
 from tests.scenes import turning_clip
@@ -221,6 +223,26 @@ def test_what_a_cell_makes_that_is_not_known_stays(run):
     assert not any(is_closed(panel, 0.05) for panel in (nameless, once_more, of_cell, of_button, outside))
 
 
+def test_panels_that_a_variable_holds_stay(run, monkeypatch):
+    """By itself, or in a list; IPython keeps outputs in variables of its own, which do not count."""
+    alone, listed, forgotten = run("keeping cell", 1, lambda: (Panel(), Panel(), Panel()))
+    variables = {"alone": alone, "others": [listed], "_1": forgotten, "Out": {1: forgotten}}
+    shell = SimpleNamespace(
+        user_ns=variables, user_ns_hidden={"Out"}, events=EventManager(None, {"post_execute": None})
+    )
+    monkeypatch.setattr(cell_reruns, "_shell", lambda: shell)
+    run("keeping cell", 2, Panel)
+    assert not is_closed(forgotten, 0.1)  # the cell still runs
+    shell.events.trigger("post_execute")
+    assert is_closed(forgotten)
+    assert not is_closed(alone, 0.1)
+    assert not is_closed(listed, 0.1)
+    variables["alone"] = None
+    run("keeping cell", 3, Panel)
+    shell.events.trigger("post_execute")
+    assert is_closed(alone)
+
+
 def test_a_panel_that_nobody_has_is_not_kept_for_its_rerun(run):
     made = run("cell", 1, Panel)
     made.close()
@@ -235,4 +257,7 @@ def test_a_rerun_replaces_every_kind_of_panel(head, photo, kind, run, others):
     assert second.comm is not None
     second.close()
     del first, second
+    deadline = time.monotonic() + LONGEST_S
+    while open_now() != others and time.monotonic() < deadline:  # its box is closed first
+        time.sleep(0.01)
     assert open_now() == others

@@ -408,7 +408,7 @@ def test_a_worker_with_another_face_model_says_so():
 
 def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):
     result, folder = done
-    with pytest.raises(OutputError, match=r"holds a sweep; go on with it by --resume \(.*name all values, old and new"):
+    with pytest.raises(OutputError, match=r"holds a sweep; continue it with --resume \(.*name all values, old and new"):
         do(plan(*clips), folder)
     again, fits = do(plan(*clips), folder, resume=True)
     assert fits == 0

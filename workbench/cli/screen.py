@@ -73,7 +73,8 @@ def warnings_as_notes() -> Iterator[None]:
     try:
         yield
     finally:
-        warnings.showwarning = shown
+        if warnings.showwarning is show:  # else another has taken its place meanwhile, and asks it
+            warnings.showwarning = shown
 
 
 def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = ()) -> Table:

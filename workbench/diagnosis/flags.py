@@ -115,7 +115,9 @@ def _bounds(track: Track, config: Config | None) -> _Screen:
     if config is not None and not config.solver.bounded:
         return _Screen(np.zeros(len(track)), lambda frame: "")
     lower, upper = expression_range_of(track.meta, track.expression.shape[1]).T
-    count = ((track.expression >= upper - 1e-9) & (lower < upper)).sum(axis=1)
+    # The lower end of [0, 1] is rest, that of a component's range is a bound like the upper one.
+    at_bound = (track.expression >= upper - 1e-9) | ((lower < 0.0) & (track.expression <= lower + 1e-9))
+    count = (at_bound & (lower < upper)).sum(axis=1)
     above = count / max(MOST_AT_BOUND * track.expression.shape[1], 1.0)
     return _Screen(_ramp(above), lambda frame: f"{count[frame]} weights are at their bound")
 

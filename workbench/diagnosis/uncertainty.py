@@ -71,7 +71,9 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     plan = plan_of(config, scheme)
     counts, whitening = (plan.counts(fit.confidence), None) if fit.landmarks is None else plan.measured(fit.landmarks)
     parameters = FaceParameters(fit.rotation, fit.translation, fit.expression, np.zeros(0))
-    start = parameters if last is None else parameters._replace(expression=np.asarray(last.parameters.expression))
+    before = context.start if last is None else last.parameters
+    expression = np.zeros(len(fit.expression)) if before is None else np.asarray(before.expression)
+    start = parameters._replace(expression=expression)
     frame = FrameInput(
         np.column_stack([fit.observed, counts]),
         zero if last is None else np.asarray(last.pose),

@@ -190,7 +190,7 @@ def _check_free(storage: Storage) -> None:
     """Raise `OutputError` for a place that holds a sweep already."""
     if storage.holds(DEFINITION):
         raise OutputError(
-            f"{storage.place} holds a sweep; go on with it by --resume (to add points, name all values, old and new), "
+            f"{storage.place} holds a sweep; continue it with --resume (to add points, name all values, old and new), "
             "or name another folder."
         )
 

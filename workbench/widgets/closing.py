@@ -47,5 +47,5 @@ def widgets_of(root: object) -> Iterator[widgets.Widget]:
             waiting += found
         elif isinstance(found, dict):
             waiting += found.values()
-        if type(found).__module__.startswith(OURS):
+        if any(kind.__module__.startswith(OURS) for kind in type(found).__mro__):
             waiting += list(getattr(found, "__dict__", {}).values())
