@@ -253,6 +253,7 @@ def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch, capsys):
     assert "token" not in text
 
 
+@pytest.mark.long
 def test_lab_prints_one_address_and_hardly_anything_else(tmp_path):
     """A real server, on the first free port."""
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -59,6 +59,7 @@ def test_a_hostile_model_is_one_sentence_and_leaves_no_trace(run, tmp_path):
         assert "nothing of it was run" in err
 
 
+@pytest.mark.long
 def test_track_takes_another_model(run, flame_file, tmp_path):
     model = load_face_model(flame_file)
     with LandmarkCsvWriter(tmp_path / "points.csv", confidence=False) as writer:

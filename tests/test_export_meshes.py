@@ -81,7 +81,7 @@ def test_several_faces_in_one_file_are_told(head):
 def test_pictures_without_a_rate_are_told(head):
     track = performance(head, frames=2, gap=None)
     (note,) = make_clip(replace(track, meta={**track.meta, "rate": None}), head).notes
-    assert "25 a second" in note
+    assert "25 per second" in note
     assert make_clip(replace(track, meta={**track.meta, "rate": None}), head, rate=5.0).rate == 5.0
 
 

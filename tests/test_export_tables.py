@@ -155,7 +155,7 @@ def test_a_track_without_blendshapes_is_refused(track, tmp_path):
 def test_times_that_are_made_up_are_told_in_every_format(kind, track, head, tmp_path):
     still = replace(track, meta={**track.meta, "rate": None})
     (note,) = export_track(still, head, tmp_path / f"x{kind}").notes
-    assert "25 a second" in note
+    assert "25 per second" in note
     assert export_track(still, head, tmp_path / f"y{kind}", rate=30.0).notes == ()
 
 

@@ -196,6 +196,7 @@ class TestFilm:
         held, _ = fitted(film, unseen, {}, "gaze")
         assert angle_between_deg(held[1:], held[:-1]).mean() < 0.5
 
+    @pytest.mark.long
     def test_shut_eyes_hold_their_last_gaze(self, film, observed):
         gaze, _ = fitted(film, observed, {})
         free, _ = fitted(film, observed, {"gaze": 0.0})

@@ -179,6 +179,7 @@ def test_the_first_frame_and_those_after_gap_jump_and_cut_are_fitted_without_it(
     assert all(flowing[k].energies[-1, column] > 0.0 for k in (1, 5))
 
 
+@pytest.mark.long
 def test_photos_are_fitted_without_it(film_maker, film):
     seen = observations(film)[:2]
     fits = [
@@ -262,6 +263,7 @@ def test_the_configuration_of_the_guide_is_one(tmp_path):
     assert config.compares_pictures
 
 
+@pytest.mark.long
 def test_processes_do_not_share_frames_that_the_flow_links(head, tmp_path):
     with pytest.raises(InputError, match="take 'flow' out of the stages' terms"):
         track([CLIP], tmp_path, head, linked(DEEP), landmarks=POINTS, frames=(0, 3), workers=2)

@@ -84,6 +84,7 @@ def test_every_frame_is_fitted_at_once_and_the_face_shape_follows_after_a_second
     assert session.calibrated == "first second"
 
 
+@pytest.mark.long
 def test_a_stage_may_compare_the_cameras_pictures(session, frames):
     stages = [stage.model_dump() | {"terms": ("flow",)} for stage in session.config.stages]
     session.use(session.config.changed(stages=stages, flow={"side": 192, "points": 300}))

@@ -721,7 +721,7 @@ class TestTrainings:
     def test_weights_to_start_from_are_not_replaced(self, begun, name):
         self.finish(begun)
         (begun / "landmarks" / "weights.safetensors").write_text("hours of work")
-        with pytest.raises(OutputError, match=f"{name} is an input and would be written over"):
+        with pytest.raises(OutputError, match=f"{name} is an input and would be overwritten"):
             training_folder(begun, "landmarks", overwrite=True, start=begun / name).__enter__()
         assert (begun / name).read_text() == "hours of work"
 

@@ -729,7 +729,9 @@ def test_the_head_and_the_fits_do_not_wait_for_a_slow_layer_of_the_picture(panel
     panel.head.color.value = "skin"
 
 
-@pytest.mark.parametrize("name", FACE_IT_PRESETS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == "gaze" else name for name in FACE_IT_PRESETS]
+)
 def test_without_stages_to_draw_the_film_strip_is_a_sentence_and_no_broken_picture(name, panel):
     panel.session.use(preset(name))
     assert panel.wait_idle()

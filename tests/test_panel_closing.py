@@ -82,7 +82,7 @@ def use(panel):
     assert panel.wait_idle(300)
 
 
-@pytest.mark.parametrize("of", ["photo", "clip"])
+@pytest.mark.parametrize("of", ["photo", pytest.param("clip", marks=pytest.mark.long)])
 def test_nothing_of_a_closed_panel_is_left(head, photo, of, others):
     session = TuningSession(head, photo if of == "photo" else turning_clip(head, 3, -8.0))
     panel = TuningPanel(session, backend="webgl")

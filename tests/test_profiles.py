@@ -156,6 +156,7 @@ def test_a_doubtful_face_in_the_dark_counts_if_it_is_steady(monkeypatch):
     assert not detector.detect_faces(dark)
 
 
+@pytest.mark.long
 def test_the_network_is_less_sure_of_a_wall_than_of_a_hidden_point():
     detector, random = NetworkDetector(), np.random.default_rng(1)
     rows, columns = np.mgrid[:240, :320]

@@ -326,6 +326,7 @@ def test_an_inner_border_blends_what_is_in_front_and_behind():
     assert np.asarray(flat(vertices).color)[6, 8] == pytest.approx([0.3, 0.7, 0.0], abs=1e-3)
 
 
+@pytest.mark.long
 def test_a_hidden_border_changes_nothing():
     way = np.zeros((8, 3))
     way[4:, 0] = 1.0

@@ -185,7 +185,7 @@ def test_a_search_of_something_else_is_not_gone_on_with(by_tau, other):
     axes = other.get("axes", ["weights.tau=log(5,100)"])
     other = {name: value for name, value in other.items() if name != "axes"}
     with pytest.raises(
-        InputError, match="was searched with another configuration, clip, objective, part or space; begin anew"
+        InputError, match="was searched with another configuration, clip, objective, part or space; start again"
     ):
         by_tau.searched(*axes, **other)
     assert len(by_tau.asked) == before

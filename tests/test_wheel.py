@@ -99,6 +99,7 @@ def test_the_demo_tracks_both_inputs_with_faces_that_it_finds(python, environmen
     assert str(ROOT) not in done.stdout
 
 
+@pytest.mark.long
 def test_jupyterlab_serves_copies_of_the_notebooks(python, environment, tmp_path):
     lab = subprocess.Popen(
         workbench(python, "lab", "--no-browser", "--port", "8950"), cwd=tmp_path, env=environment,
