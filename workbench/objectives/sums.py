@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float
 
+from workbench.arrays import AnyArray
 from workbench.errors import ConfigError
 from workbench.objectives.table import objective
 
@@ -28,7 +29,7 @@ class WeightedSum:
         """Its objectives."""
         return tuple(self.factors)
 
-    def of(self, values: Mapping[str, Float[np.ndarray, "*n"]]) -> Float[np.ndarray, "*n"]:
+    def of(self, values: Mapping[str, Float[AnyArray, "*n"]]) -> Float[AnyArray, "*n"]:
         """The sum, from the values of its objectives."""
         return sum(factor * values[name] for name, factor in self.factors.items())
 
