@@ -86,10 +86,6 @@ NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
-NO_FACE_IN_FILE = (
-    "The landmark file has no face in any frame: its points are missing, all at one place or without any confidence; "
-    "look at the file, or name another."
-)
 CHARACTER_HELP = "Character that the 3D head is drawn as: a ready one such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = (
@@ -284,7 +280,9 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
     print_result(result)
     if not result.summary["frames_with_face"]:
         detected = result.summary["detector"]
-        screen.print_error((config.landmarks.missed_face or NO_FACE) if detected else NO_FACE_IN_FILE)
+        missed = config.landmarks.missed_face or NO_FACE
+        in_file = f"The landmark file {workbench.landmarks.files.WITHOUT_FACE}; look at the file, or name another."
+        screen.print_error(missed if detected else in_file)
         raise typer.Exit(1)
 
 

@@ -27,6 +27,8 @@ from workbench.reading import checked_file
 
 SUFFIXES = (".csv", ".json", ".npy", ".pts", ".xml")
 """Of the files that are read."""
+WITHOUT_FACE = "has no face in any frame: its points are missing, all at one place or without any confidence"
+"""What is said of a landmark file in which no frame shows a face."""
 _LISTED = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
 

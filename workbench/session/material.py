@@ -113,7 +113,7 @@ class Material:
     network: str | None = None
     """`deep.network` of a stored run of Deep Energies, whose landmarks are this network's answers; else None."""
     detector: str | None = None
-    """What found the landmarks in the inputs; None: they are from a file."""
+    """What found the landmarks in the inputs; None: they are from a file, or found in a picture in memory."""
     opened: OpenedFiles | None = None
     """The inputs, the landmark file and the views as they were opened; None: as they are now."""
 

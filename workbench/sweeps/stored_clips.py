@@ -13,6 +13,7 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
 from workbench.frames import image_names, open_frames
+from workbench.landmarks.files import WITHOUT_FACE
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import is_landmark_file, open_source
@@ -23,9 +24,6 @@ from workbench.sweeps.storage import Storage, anywhere, local_file, packed, unpa
 from workbench.tracking import FrameObservation
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
-NO_POINTS = (
-    "has no face in any frame: its points are missing, all at one place or without any confidence; name another file."
-)
 FORMAT = 2
 _COUNTED = (".csv", ".npz")
 """Files of landmarks and truths that count frames, and name no pictures."""
@@ -160,7 +158,7 @@ def _told_without_faces(source: ClipSource, config: Config) -> str:
     """Why a clip without any face cannot be used."""
     file = source.clip if is_landmark_file(Path(source.clip)) else source.landmarks
     if file:
-        return f"{file} {NO_POINTS}"
+        return f"{file} {WITHOUT_FACE}; name another file."
     missed = config.landmarks.missed_face
     return f"{source.clip}: {missed}" if missed else f"{source.clip} {NO_FACES}"
 
