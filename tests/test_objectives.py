@@ -26,6 +26,7 @@ from workbench.objectives import (
     flow_of_pictures,
     folds_of,
     inner_landmarks,
+    interval_of,
     least_at_equal,
     measure,
     measured_by,
@@ -309,6 +310,23 @@ def test_every_row_says_what_it_cannot_see_and_has_a_function():
         assert row.blind
         assert not (row.says + row.blind).endswith(".")
         assert callable(measure(name))
+
+
+@pytest.mark.parametrize("frames", [8, 12, 20, 40, 100])
+def test_an_interval_holds_the_true_mean_as_often_as_it_says_in_short_clips_too(frames):
+    rng = np.random.default_rng(frames)
+    ends = [interval_of(drawn_means(rng.normal(size=(1, frames)), trial, draws=300)[:, 0]) for trial in range(300)]
+    assert np.mean([low < 0.0 < high for low, high in ends]) > 0.82
+
+
+def test_each_frame_is_drawn_as_often_as_every_other():
+    only = np.eye(25)
+    drawn = drawn_means(only, draws=4000).mean(axis=0)
+    np.testing.assert_allclose(drawn, 1.0 / 25, rtol=0.1)
+
+
+def test_of_four_frames_no_interval_is_known():
+    assert np.isnan(interval_of(drawn_means(np.ones((1, 4)))[:, 0])).all()
 
 
 def test_draws_of_a_long_clip_are_made_a_few_at_a_time(monkeypatch):

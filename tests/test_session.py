@@ -8,9 +8,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from tests.other_heads import resized
+from tests.performances import performance
 from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
 from workbench.config import PRESETS, Hashed, Stage, preset, read_config, write_config
@@ -30,6 +32,7 @@ from workbench.session.exports import free_file, track_command
 from workbench.session.knobs import changed_by, value_of
 from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
 from workbench.session.material import PictureStore
+from workbench.session.metrics import metrics_of_track
 from workbench.session.performance import performance_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
@@ -67,6 +70,13 @@ def photo():
 @pytest.fixture
 def session(head, clip):
     return TuningSession(head, clip, QUICK)
+
+
+def test_a_steady_turn_through_half_a_turn_has_no_jitter(head):
+    track = performance(head, frames=21, gap=None)
+    degrees = np.arange(170.0, 191.0)
+    rolling = Rotation.from_rotvec(np.outer(degrees, [0.0, 0.0, 1.0]), degrees=True).as_rotvec()
+    assert metrics_of_track(replace(track, rotation=rolling))["jitter_deg"] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_photo_in_memory_has_a_picture_and_landmarks_alone_have_none(photo, clip):

@@ -315,7 +315,7 @@ class Node(NamedTuple):
 
 NODES = (
     Node("sparse", "ω_sparse", "Eqs. 5, 6", "all landmark terms", "ω_sparse·(ω_pose·E_pose + ω_fit·E_fit)", 0),
-    Node("pose", "ω_pose", "Eq. 8", "reprojection while the pose alone is free", "Σ‖π(R·b_0 + t) − p‖²", 1),
+    Node("pose", "ω_pose", "Eq. 8", "reprojection while the pose alone is free", "Σ‖π(R·(b_0 + B·w) + t) − p‖²", 1),
     Node("fit", "ω_fit", "Eq. 10", "reprojection while the weights are free", "Σ‖π(R·(b_0 + B·w) + t) − p‖²", 1),
     Node("prior", "ω_prior", "Eqs. 5, 7", "all prior terms", "ω_prior·(ω_τ·E_τ + ω_β·E_β + ω_σ·E_σ)", 0),
 )

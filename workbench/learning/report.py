@@ -14,11 +14,13 @@ class Change(NamedTuple):
     percent: float
     low: float
     high: float
-    """Of the interval that holds 95 % of the bootstrap's draws."""
+    """Of the interval that holds 95 % of the bootstrap's draws; NaN where there are too few frames for one."""
 
     def __str__(self) -> str:
         if np.isnan(self.percent):
             return "unknown, because no frame has a value before and after, or the mean before is 0"
+        if np.isnan(self.low):
+            return f"{self.percent:+.1f} % (too few frames to say how surely)"
         return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
 
 

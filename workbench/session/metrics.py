@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import frame_errors, stack_fits
@@ -17,8 +18,8 @@ def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
 def metrics_of_track(track: Track) -> dict[str, float]:
     """Errors in % of the outer-eye distance over all frames with landmarks, and the jitter of the head pose.
 
-    Frames made by infill have no landmarks. Jitter is the mean length of the second difference of the rotation, in
-    degrees, within shots.
+    Frames made by infill have no landmarks. Jitter is the mean length of the change from one frame's turn to
+    the next one's, in degrees, within shots.
     """
     found = track.found
     errors = frame_errors(track)
@@ -41,5 +42,8 @@ def _jitter_deg(rotation: Float[np.ndarray, "n 3"], shot: np.ndarray, found: np.
     whole = found[:-2] & found[1:-1] & found[2:] & (shot[:-2] == shot[2:])
     if not whole.any():
         return None
-    second = np.linalg.norm(rotation[:-2] - 2.0 * rotation[1:-1] + rotation[2:], axis=1)[whole]
+    turns = Rotation.from_rotvec(np.nan_to_num(rotation))
+    # Rotation vectors jump at half a turn, in pictures that are upside down; turns from frame to frame do not.
+    steps = (turns[1:] * turns[:-1].inv()).as_rotvec()
+    second = np.linalg.norm(np.diff(steps, axis=0), axis=1)[whole]
     return float(np.degrees(second.mean()))

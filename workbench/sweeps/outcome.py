@@ -104,7 +104,7 @@ class SweepResult:
     def interval(self, axis: Axis, rule: Rule) -> tuple[float, float] | None:
         """How certain a choice is: in 95 % of the bootstrap's draws of frames, its value of a setting is between these.
 
-        None without a choice, and for settings that are not numbers.
+        None without a choice, for settings that are not numbers, and with too few frames to tell.
         """
         if not (axis.numeric and self._whole):
             return None

@@ -133,14 +133,17 @@ def predict(scene: DeepScene, views: tuple[DeepView, ...], parameters: FaceParam
 def solve_stage(
     problem: StageProblem, start: FaceParameters, cancelled: Callable[[], bool] = lambda: False
 ) -> StageResult:
-    """Up to `limit` dogleg steps from `start`; each evaluates the network and its derivative once in every view."""
+    """Up to `limit` dogleg steps from `start`, or from where the bounds leave it, which a fit without bounds ignored;
+    each evaluates the network and its derivative once in every view."""
     vector, sizes = np.asarray(pack(start)), typical_sizes(start, jaw_unit=problem.context.jaw_unit)
+    lower, upper = (np.where(problem.free, bound, vector) for bound in (problem.lower, problem.upper))
+    vector = np.clip(vector, lower, upper)
     views, stage = problem.stacked, _Stage(problem, start)
-    parameters, prediction = start, predict(problem.scene, problem.views, start)
+    parameters = unpack(vector, start)
+    prediction = predict(problem.scene, problem.views, parameters)
     energies = stage.energies(views, prediction, parameters)
     path = [Iteration(parameters, energies, prediction.points)]
     method = TrustRegion(sizes, smallest=SMALLEST_RADIUS, largest=1.0)
-    lower, upper = (np.where(problem.free, bound, vector) for bound in (problem.lower, problem.upper))
     state, derivative, count = init(method, vector, energies.sum()), None, 0
     while int(state.status) == Status.RUNNING and count < problem.limit and not cancelled():
         if derivative is None:
