@@ -439,18 +439,20 @@ def test_a_bound_that_the_energy_pushes_against_is_met_exactly(points, truth):
 
 
 def test_a_start_outside_the_bounds_is_put_on_them_and_fitted_from_there(points, truth):
-    scene = make_deep_scene(points, truth)
-    stage = planned(name="smile", free=("expression",), limit=20)
+    """As a track without bounds has it: there the energy is low, and any step into the bounds raises it."""
+    smile, funnel = (_column(points, name) - 6 for name in ("mouthSmileLeft", "mouthFunnel"))
+    unbounded = truth._replace(expression=truth.expression.at[smile].set(1.5))
+    scene = make_deep_scene(points, unbounded._replace(expression=unbounded.expression.at[funnel].set(0.4)))
+    stage = planned(name="weights", free=("expression",), limit=20)
     views = points.views(scene.observation(), scene.context(), stage)
     problem = points._stage_problem(points.problem(scene.observation(), scene.context()), views, stage)
-    smile = _column(points, "mouthSmileLeft")
+    weights = slice(6, 6 + len(truth.expression))
     lower, upper = problem.lower.copy(), problem.upper.copy()
-    lower[smile], upper[smile] = 0.0, 1.0
-    bounded = replace(problem, lower=lower, upper=upper)
-    outside = truth._replace(expression=truth.expression.at[smile - 6].set(1.5))
-    from_inside, from_outside = (solve_stage(bounded, start) for start in (truth, outside))
-    assert from_outside.parameters.expression[smile - 6] <= 1.0
-    assert from_outside.energies.sum() == pytest.approx(from_inside.energies.sum(), rel=0.05)
+    lower[weights], upper[weights] = 0.0, 1.0
+    found = solve_stage(replace(problem, lower=lower, upper=upper), unbounded).parameters.expression
+    assert found.min() >= 0.0
+    assert found[smile] == 1.0
+    assert found[funnel] > 0.2
 
 
 def test_lambda_pulls_the_weights_and_the_jaw_to_rest(points, truth):
