@@ -392,13 +392,15 @@ def test_where_no_notebooks_can_be_copied_to_one_reads_to_start_elsewhere(run, n
     )
 
 
-def test_an_interruption_says_how_to_go_on(run, points, monkeypatch):
+def test_an_interruption_says_how_to_go_on_where_frames_are_kept(run, points, monkeypatch, tmp_path):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("workbench.pipeline.track", interrupted)
-    for begun in (True, False):
-        monkeypatch.setattr("workbench.pipeline.holds_parts", lambda folder, begun=begun: begun)
-        code, _, err = run("track", "points.csv")
+    parts = tmp_path / "out" / "track.npz.parts"
+    parts.mkdir(parents=True)
+    for name, continued in (("fingerprint", False), ("00000.npz", True)):
+        (parts / name).touch()
+        code, _, err = run("track", "points.csv", "--out", "out")
         assert code == 130
-        assert ("--resume" in err) is begun
+        assert ("--resume" in err) is continued

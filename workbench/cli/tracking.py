@@ -274,8 +274,8 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
             result = workbench.pipeline.track(inputs, folder, model, config, progress=progress, **options)
         except KeyboardInterrupt:
             kept = "finished parts are kept; --resume continues from there"
-            begun = workbench.pipeline.holds_parts(folder)
-            screen.errors.print(f"[yellow]interrupted[/yellow]: {kept if begun else 'nothing was finished yet'}")
+            kept_any = workbench.pipeline.keeps_frames(folder)
+            screen.errors.print(f"[yellow]interrupted[/yellow]: {kept if kept_any else 'nothing was finished yet'}")
             raise typer.Exit(130) from None
     print_result(result)
     if not result.summary["frames_with_face"]:

@@ -2,7 +2,7 @@ from .output_folder import DEEP_OUTPUTS as DEEP_OUTPUTS
 from .output_folder import OUTPUTS as OUTPUTS
 from .output_folder import TIME_OUTPUTS as TIME_OUTPUTS
 from .output_folder import check_inputs_kept as check_inputs_kept
-from .output_folder import holds_parts as holds_parts
+from .output_folder import keeps_frames as keeps_frames
 from .picture_source import PictureSource as PictureSource
 from .provenance import software_versions as software_versions
 from .runs import Progress as Progress

@@ -12,7 +12,7 @@ from typing import IO
 
 from workbench.errors import OutputError
 from workbench.files import check_not_inputs, check_target, make_folder, remove_partial_files, writing
-from workbench.tracking.track_writer import PARTS_SUFFIX, UNREFINED
+from workbench.tracking.track_writer import FINGERPRINT, PARTS_SUFFIX, UNREFINED
 
 try:
     import fcntl
@@ -97,14 +97,19 @@ def remove_earlier(folder: Path, made: Iterable[Path]) -> None:
             subfolder.rmdir()
 
 
-def holds_parts(folder: Path) -> bool:
+def _holds_parts(folder: Path) -> bool:
     """Whether an interrupted run left parts in a folder."""
     return any((folder / name).is_dir() for name in PARTS)
 
 
+def keeps_frames(folder: Path) -> bool:
+    """Whether an interrupted run left frames in a folder that `resume` continues after."""
+    return any(path.name != FINGERPRINT for name in PARTS for path in (folder / name).glob("*"))
+
+
 def _check_free(folder: Path, resume: bool, overwrite: bool, resumable: bool) -> None:
     there = [name for name in FILES if (folder / name).exists()]
-    begun = holds_parts(folder)
+    begun = _holds_parts(folder)
     if overwrite or (resume and (begun or "track.npz" in there)) or not (there or begun):
         return
     if begun and resumable:

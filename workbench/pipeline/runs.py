@@ -27,7 +27,7 @@ from workbench.landmarks.schemes import OF_DETECTORS
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
-from workbench.pipeline.output_folder import FILES, PARTS, TRACKS, drawn_in, holds_parts, remove_earlier, run_folder
+from workbench.pipeline.output_folder import FILES, PARTS, TRACKS, drawn_in, keeps_frames, remove_earlier, run_folder
 from workbench.pipeline.provenance import software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
@@ -160,7 +160,7 @@ def _telling_what_is_kept(folder: Path) -> Iterator[None]:
     except LostSchedulerError:  # says so itself
         raise
     except OutputError as error:
-        if not holds_parts(folder):
+        if not keeps_frames(folder):
             raise
         raise OutputError(f"{error} Finished parts are kept; the run can be resumed (--resume).") from error
 

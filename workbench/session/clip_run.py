@@ -14,6 +14,7 @@ from jaxtyping import Bool
 from workbench.config import Config
 from workbench.diagnosis import FrameFlags, flag_frames
 from workbench.face import FaceModel
+from workbench.pipeline import software_versions
 from workbench.planning import plan_of
 from workbench.session.calibrations import Calibrations
 from workbench.session.dependence import fits_key, stale_frames
@@ -141,18 +142,27 @@ class ClipRuns:
         return Run(config, Track(meta={}, **stack_fits(fits)), tuple(before)) if len(fits) == count else None
 
 
-def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
-    """The track of a run, with the metadata that pictures and exports need."""
-    config = run.config
+def described_track(run: Run, model: FaceModel, material: Material) -> Track:
+    """The track of a run, with the metadata of a track that `workbench track` writes."""
+    config, record = run.config, material.opened.record
+    views = {name: found for name, path in material.views.items() if (found := record(path))}
     meta = {
+        "inputs": [*filter(None, map(record, material.inputs)), *views.values()],
+        "views": {name: found["path"] for name, found in views.items()},
+        "landmarks": record(material.landmark_file),
+        "frames": None if material.part is None else list(material.part),
+        "rate": material.rate,
+        "versions": software_versions(),
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],
-        "stills": stills,
+        "stills": material.stills,
         "camera_guessed": config.camera.guessed,
         "config": config.model_dump(mode="json"),
         "model": model_record(model),
         **scheme_record(model.scheme),
     }
+    if material.detector or material.inputs:  # what found the landmarks of a picture in memory, nobody said
+        meta["detector"] = material.detector
     return replace(run.track, meta=meta)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from workbench.config import Config, Hashed, differences, read_config, write_config
 from workbench.errors import InputError, WorkbenchError
+from workbench.export import FORMATS
 from workbench.face import FaceModel
 from workbench.pipeline import software_versions
 from workbench.reading import content_hash
@@ -35,7 +36,13 @@ class Exports:
             return False
 
     def check(self, path: Path, overwrite: bool) -> None:
-        """Raises `TakenError` if the file exists, unless it is as written here or `overwrite` is set."""
+        """Raises `TakenError` if the file exists, unless it is as written here or `overwrite` is set; `InputError` for
+        the name of an animation."""
+        if path.suffix.lower() in FORMATS:
+            raise InputError(
+                f"The settings are TOML, so name them {path.with_suffix('.toml').name}; the animation is written by "
+                f"workbench.export_track(session.track, session.model, {path.name!r})."
+            )
         if not overwrite and not self.may_write(path):
             raise TakenError(taken_text(path, self._material.name))
 

@@ -2,11 +2,9 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from workbench.config import Config
-from workbench.pipeline import software_versions
 from workbench.session.clip_run import Run, described_track
 from workbench.session.exports import model_words
 from workbench.session.material import Cancelled, Progress
@@ -23,25 +21,12 @@ def performance_track(
     config: Config | None = None,
 ) -> Track | None:
     """The clip under the current configuration, or `config`, infilled and refined if configured; None if cancelled."""
-    config, material = session.config if config is None else config, session.material
+    config = session.config if config is None else config
     fits = session.temporal.fits_by(config, progress, cancelled)
     if fits is None:
         return None
     run = Run(config, Track(meta={}, **stack_fits(list(fits))), ())
-    track = described_track(run, session.model, material.stills)
-    record = material.opened.record
-    views = {name: found for name, path in material.views.items() if (found := record(path))}
-    meta = {
-        "inputs": [*filter(None, map(record, material.inputs)), *views.values()],
-        "views": {name: found["path"] for name, found in views.items()},
-        "landmarks": record(material.landmark_file),
-        "frames": None if material.part is None else list(material.part),
-        "rate": material.rate,
-        "versions": software_versions(),
-    }
-    if material.detector or material.inputs:  # what found the landmarks of a picture in memory, nobody said
-        meta["detector"] = material.detector
-    return replace(track, meta=track.meta | meta)
+    return described_track(run, session.model, session.material)
 
 
 def performance_commands(

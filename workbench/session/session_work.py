@@ -58,7 +58,7 @@ class SessionWork:
 
     def track_of(self, run: Run) -> Track:
         """A run as a track with its metadata."""
-        return described_track(run, self.model, self._material.stills)
+        return described_track(run, self.model, self._material)
 
     def export(
         self, path: Path, config: Config, base: Config, overwrite: bool, progress: Progress | None, cancelled: Cancelled
