@@ -227,11 +227,11 @@ class TestFiles:
     def test_the_panel_shows_them(self, run, head):
         config = preset("gaze").changed(identity={"window": 2, "frames": 2})
         panel = TuningPanel(TuningSession(head, material_of_track(run.track), config))
-        assert panel.wait_idle(60)
+        assert panel.wait_idle(300)
         panel.go(1)
-        assert panel.wait_idle(60)
+        assert panel.wait_idle(300)
         assert panel.fit.observed.shape == (70, 2)
         panel.turn("group.irises", 1.0)
-        assert panel.wait_idle(60)
+        assert panel.wait_idle(300)
         assert "irises" not in panel.session.config.landmarks.weights
         panel.close()
