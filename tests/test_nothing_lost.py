@@ -20,11 +20,13 @@ from workbench.cli.training import training_folder
 from workbench.config import preset
 from workbench.errors import InputError, OutputError
 from workbench.export import FORMATS, export_track
+from workbench.face.usual_expressions import Moments, write_moments
 from workbench.files import atomic_path
 from workbench.frames import VideoWriter, write_picture
 from workbench.geometry import write_rig
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.networks.weights import write_weights
 from workbench.pipeline import track
 from workbench.pipeline.output_folder import locked
 from workbench.samples import sample
@@ -552,6 +554,20 @@ class TestPlacesThatCannotBeWritten:
         refused = pytest.raises(OutputError, match="free some space and repeat")
         with refused, small_disk(1000), atomic_path(tmp_path / "a.npy") as temporary:
             np.save(temporary, np.zeros(1000))
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        "write",
+        [
+            lambda path: write_weights(path, {"a": np.zeros(1000, np.float32)}, {}),
+            lambda path: write_moments(path, Moments(("a",) * 40, np.eye(40)), {}),
+        ],
+        ids=["weights", "moments of expressions"],
+    )
+    def test_weights_that_find_no_room_say_what_the_system_says(self, tmp_path, write):
+        refused = pytest.raises(OutputError, match=r"w\.safetensors cannot be written .*; the system allows no larger")
+        with refused, small_disk(1000):
+            write(tmp_path / "w.safetensors")
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize("suffix", [*FORMATS, ".usda"])

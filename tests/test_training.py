@@ -13,8 +13,9 @@ import pytest
 import torch
 
 from tests.dotted_pool import write_dotted_pool
+from tests.test_nothing_lost import small_disk
 from workbench.cli.training import RESULTS, Network
-from workbench.errors import InputError
+from workbench.errors import InputError, OutputError
 from workbench.face import load_default_head
 from workbench.face.dense_landmarks import pupil_vertices
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_points
@@ -43,7 +44,7 @@ from workbench.training.evaluation import (
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
-from workbench.training.loop import Phase, TrainingPlan, checked_plan, folded_arrays, train
+from workbench.training.loop import Phase, TrainingPlan, checked_plan, export_weights, folded_arrays, train
 from workbench.training.measuring import lids_of
 from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
@@ -594,6 +595,23 @@ class TestLoop:
         checkpoint.write_bytes(checkpoint.read_bytes()[: int(cut * checkpoint.stat().st_size)])
         with pytest.raises(InputError, match=r"checkpoint\.pt cannot be read as a training's checkpoint .*--overwrite"):
             train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
+    def test_a_full_disk_leaves_the_last_checkpoint_and_weights_and_says_what_to_do(
+        self, pool_folder, tmp_path, monkeypatch
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = (tmp_path / "checkpoint.pt").read_bytes()
+        refused = pytest.raises(OutputError, match=r"checkpoint\.pt cannot be written \(File too large\); ")
+        with refused, small_disk(10_000):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        assert (tmp_path / "checkpoint.pt").read_bytes() == checkpoint
+        weights = train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        before = weights.read_bytes()
+        refused = pytest.raises(OutputError, match=r"weights\.safetensors cannot be written \(File too large\); ")
+        with refused, small_disk(1000):
+            export_weights(LandmarkTask(), tmp_path)
+        assert weights.read_bytes() == before
+        assert not list(tmp_path.glob(".*"))
 
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):

@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import io
 import json
 import math
 import time
@@ -14,14 +15,13 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
-from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.landmarks.schemes import DensePoints
 from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
-from workbench.networks.weights import ARCHITECTURE, read_weights
+from workbench.networks.weights import ARCHITECTURE, read_weights, write_weights
 from workbench.reading import checked_json, reading, shortened
 from workbench.training import PLAN_FILE
 from workbench.training.batch_studio import BatchStudio
@@ -313,19 +313,9 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
         shared = arrays.keys() & began.keys()
         arrays |= {name: plan.learned * arrays[name] + (1.0 - plan.learned) * began[name] for name in shared}
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
+    origin = {"steps": str(state["step"]), "start": plan.start}
     path = folder / "weights.safetensors"
-    with atomic_path(path) as temporary:
-        save_file(
-            arrays,
-            temporary,
-            {
-                **(metadata or {}),
-                ARCHITECTURE: task.architecture,
-                **size,
-                "steps": str(state["step"]),
-                "start": plan.start,
-            },
-        )
+    write_weights(path, arrays, {**(metadata or {}), ARCHITECTURE: task.architecture, **size, **origin})
     return path
 
 
@@ -414,8 +404,10 @@ def _resumed(path: Path, network, optimiser, average: dict[str, Tensor], running
 def _save(path: Path, network, optimiser, average, running: dict[str, Tensor], step: int) -> None:
     learned = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average}
     state = {**learned, "running": running, "step": step}
+    content = io.BytesIO()
+    torch.save(state, content)  # PyTorch's own writer reports a full disk by an error of its own
     with atomic_path(path) as temporary:
-        torch.save(state, temporary)
+        temporary.write_bytes(content.getbuffer())
 
 
 def _forget_later_rows(path: Path, step: int) -> None:
