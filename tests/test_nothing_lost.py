@@ -213,6 +213,25 @@ class TestInputsAreNotWrittenOver:
         assert "would be overwritten; name another output" in err.replace("\n", " ")
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
+    @pytest.mark.parametrize("source", ["out", "out/track.npz"])
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "export {} --to out/parameters.csv",
+            "export {} --to x.csv --to link.csv",
+            "diagnose {} --json out/summary.json",
+        ],
+    )
+    def test_a_commands_file_does_not_replace_a_result_of_the_run(self, run, quick, points, tmp_path, command, source):
+        quick(points, tmp_path / "out")
+        (tmp_path / "link.csv").symlink_to("out/landmarks.csv")
+        before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        code, _, err = run(*command.format(source).split())
+        assert code == 2
+        assert "is a result of the run" in err
+        assert "would be overwritten; name another output" in err.replace("\n", " ")
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
     @pytest.mark.parametrize("landmarks", [False, True])
     def test_an_input_is_kept_from_every_folder(self, run, quick, points, tmp_path, monkeypatch, landmarks):
         shutil.copy(sample("performance"), tmp_path / "talk.mp4")
