@@ -58,6 +58,17 @@ from workbench.training.wardrobe import open_wardrobe
 PLAN = TrainingPlan(phases=(Phase(32, 4, 3, 1e-3), Phase(64, 2, 2, 1e-3)), widths=(4, 4, 6, 6), blocks=1)
 
 
+OTHER = TorchLandmarkNetwork((6, 6, 8, 8), 1, 70).state_dict()
+WRONG_CHECKPOINTS = {
+    "without its network": lambda state: {name: value for name, value in state.items() if name != "network"},
+    "with another network": lambda state: state | {"network": OTHER},
+    "with another average": lambda state: state | {"average": OTHER},
+    "with a part of the average": lambda state: state | {"average": dict(list(state["average"].items())[1:])},
+    "a list": lambda state: list(state),
+}
+"""What may be in a file that PyTorch reads."""
+
+
 @pytest.fixture(scope="module")
 def pool_folder(tmp_path_factory):
     return write_dotted_pool(tmp_path_factory.mktemp("pool"))
@@ -588,6 +599,29 @@ class TestLoop:
         with pytest.raises(InputError, match=f"{path.name} cannot be read as a part of a training's pool .*; delete"):
             open_pool(tmp_path)
 
+    @pytest.mark.parametrize(
+        ("name", "value", "said"),
+        [
+            ("glasses", None, "it lacks glasses"),
+            ("angles", np.zeros((3, 3)), r"angles should have 240 rows, got the shape \(3, 3\)"),
+            ("points", np.float32(0.0), r"points should have 240 rows, got the shape \(\)"),
+        ],
+    )
+    def test_a_part_of_a_pool_that_lacks_something_is_reported_with_what_to_do(self, tmp_path, name, value, said):
+        write_dotted_pool(tmp_path)
+        path = shard_paths(tmp_path, 0)[1]
+        numbers = dict(np.load(path)) | {name: value}
+        np.savez(path, **{name: array for name, array in numbers.items() if array is not None})
+        with pytest.raises(InputError, match=f"{path.name} cannot be read as a part of .* pool \\({said}\\); delete"):
+            open_pool(tmp_path)
+
+    def test_pictures_that_are_too_few_are_reported_with_what_to_do(self, tmp_path):
+        write_dotted_pool(tmp_path)
+        path = shard_paths(tmp_path, 0)[0]
+        np.save(path, np.load(path)[:5])
+        with pytest.raises(InputError, match=r"pictures_0000 should have 240 rows, got the shape \(5, .*; delete it"):
+            open_pool(tmp_path)
+
     @pytest.mark.parametrize("cut", [0, 0.5])
     def test_a_damaged_checkpoint_is_reported_with_what_to_do(self, pool_folder, tmp_path, monkeypatch, cut):
         train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
@@ -595,6 +629,22 @@ class TestLoop:
         checkpoint.write_bytes(checkpoint.read_bytes()[: int(cut * checkpoint.stat().st_size)])
         with pytest.raises(InputError, match=r"checkpoint\.pt cannot be read as a training's checkpoint .*--overwrite"):
             train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
+    @pytest.mark.parametrize("wrong", WRONG_CHECKPOINTS)
+    def test_a_checkpoint_of_something_else_is_reported_with_what_to_do(
+        self, pool_folder, tmp_path, monkeypatch, wrong
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = tmp_path / "checkpoint.pt"
+        torch.save(WRONG_CHECKPOINTS[wrong](torch.load(checkpoint, weights_only=True)), checkpoint)
+        before = checkpoint.read_bytes()
+        refused = r"checkpoint\.pt cannot be read as a training's checkpoint .*; add --overwrite"
+        with pytest.raises(InputError, match=refused):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        assert checkpoint.read_bytes() == before
+        if "network" not in wrong:
+            with pytest.raises(InputError, match=refused):
+                export_weights(LandmarkTask(), tmp_path)
 
     def test_a_full_disk_leaves_the_last_checkpoint_and_weights_and_says_what_to_do(
         self, pool_folder, tmp_path, monkeypatch

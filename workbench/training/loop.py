@@ -32,6 +32,8 @@ AVERAGING = 0.998
 """Decay per step of the moving average of the weights, which is what is kept."""
 STEP = "step"
 """The first column of the curves."""
+CHECKPOINT = "a training's checkpoint", "add --overwrite to train again; the pool is kept"
+"""What a checkpoint should be, and what to do where it is not."""
 
 
 @dataclass(frozen=True)
@@ -305,15 +307,16 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
     """
     plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
-    state = _checkpoint(folder / "checkpoint.pt", "cpu")
-    network.load_state_dict(state["average"])
+    with reading(folder / "checkpoint.pt", *CHECKPOINT):
+        state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
+        network.load_state_dict(state["average"])
+        origin = {"steps": str(state["step"]), "start": plan.start}
     arrays = task.arrays(network)
     if start is not None and plan.learned < 1.0:
         began = read_weights(start).arrays
         shared = arrays.keys() & began.keys()
         arrays |= {name: plan.learned * arrays[name] + (1.0 - plan.learned) * began[name] for name in shared}
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
-    origin = {"steps": str(state["step"]), "start": plan.start}
     path = folder / "weights.safetensors"
     write_weights(path, arrays, {**(metadata or {}), ARCHITECTURE: task.architecture, **size, **origin})
     return path
@@ -383,22 +386,22 @@ def _single_threaded(_worker: int) -> None:
     torch.set_num_threads(1)
 
 
-def _checkpoint(path: Path, device: str | torch.device) -> dict[str, Any]:
-    with reading(path, "a training's checkpoint", "add --overwrite to train again; the pool is kept"):
-        return torch.load(path, map_location=device, weights_only=True)
-
-
 def _resumed(path: Path, network, optimiser, average: dict[str, Tensor], running: dict[str, Tensor]) -> int:
-    """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there."""
+    """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there.
+
+    Raises `InputError` for what is none of this network; some of them may have changed then.
+    """
     if not path.is_file():
         return 0
-    state = _checkpoint(path, next(network.parameters()).device)
-    network.load_state_dict(state["network"])
-    optimiser.load_state_dict(state["optimiser"])
-    for name, value in state["average"].items():
-        average[name].copy_(value)
-    running.update(state.get("running", {}))  # older checkpoints have none
-    return int(state["step"])
+    with reading(path, *CHECKPOINT):
+        state = torch.load(path, map_location=next(network.parameters()).device, weights_only=True)
+        network.load_state_dict(state["average"])  # this compares names and shapes
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        for name, value in state["average"].items():
+            average[name].copy_(value)
+        running.update(state.get("running", {}))  # older checkpoints have none
+        return int(state["step"])
 
 
 def _save(path: Path, network, optimiser, average, running: dict[str, Tensor], step: int) -> None:
