@@ -48,6 +48,7 @@ from workbench.training.loop import Phase, TrainingPlan, checked_plan, export_we
 from workbench.training.measuring import lids_of
 from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
+from workbench.training.report import curves_figure
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
 from workbench.training.skin import skin_painter
@@ -467,6 +468,39 @@ class TestLoop:
         lines = []
         train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=lines.append)
         assert [line for line in lines if line.startswith("step 6 of 6")] == lines
+
+    @pytest.mark.parametrize(
+        ("damaged", "kept"),
+        [
+            (lambda told: told + b"\xff\xfe\x00,\n", ["step", "2", "4", "6"]),
+            (lambda told: told.replace(b"\n2,", b"\n2\xff,"), ["step", "4", "6"]),
+            (lambda told: told.replace(b"e-0", b"\xffe-0", 1), ["step", "4", "6"]),
+            (lambda told: b"\xff" + told, ["step", "6"]),
+            (lambda told: b"", ["step", "6"]),
+        ],
+        ids=["rows of junk", "a step", "a number", "the names", "all"],
+    )
+    def test_damaged_curves_keep_what_can_be_read_and_the_training_goes_on(
+        self, pool_folder, tmp_path, monkeypatch, damaged, kept
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        told = b"step,rate,loss\r\n2,1.000e-03,3.1000\r\n4,1.000e-03,2.1000\r\n"
+        (tmp_path / "curves.csv").write_bytes(damaged(told))
+        train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        rows = (tmp_path / "curves.csv").read_text().splitlines()
+        assert [row.split(",")[0] for row in rows] == kept
+
+    def test_curves_that_cannot_be_written_are_told_in_a_sentence(self, pool_folder, tmp_path):
+        (tmp_path / "curves.csv").mkdir()
+        with pytest.raises(OutputError, match=r"curves\.csv cannot be written .*; a folder is in the way"):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
+    @pytest.mark.parametrize(("rows", "marker"), [(1, "o"), (3, "o"), (60, "")])
+    def test_curves_of_few_rows_are_drawn_as_points(self, tmp_path, rows, marker):
+        lines = ["step,rate,loss,inner_percent", *(f"{50 * (k + 1)},1e-3,{3 / (k + 1)},9" for k in range(rows))]
+        (tmp_path / "curves.csv").write_text("\n".join(lines) + "\n")
+        figure = curves_figure(tmp_path / "curves.csv")
+        assert [line.get_marker() or "" for axis in figure.axes for line in axis.lines] == [marker, marker]
 
     def test_pictures_that_another_training_added_to_the_pool_do_not_count(self, tmp_path, monkeypatch):
         monkeypatch.setattr(loop, "_POOLS", {})

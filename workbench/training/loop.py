@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 from torch import Tensor, nn
 
 from workbench.errors import InputError
-from workbench.files import atomic_path
+from workbench.files import atomic_path, writing
 from workbench.landmarks.schemes import DensePoints
 from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
 from workbench.networks.weights import ARCHITECTURE, read_weights, write_weights
@@ -32,6 +32,8 @@ AVERAGING = 0.998
 """Decay per step of the moving average of the weights, which is what is kept."""
 STEP = "step"
 """The first column of the curves."""
+UNREADABLE = "\N{REPLACEMENT CHARACTER}"
+"""What stands for bytes that are no text."""
 CHECKPOINT = "a training's checkpoint", "add --overwrite to train again; the pool is kept"
 """What a checkpoint should be, and what to do where it is not."""
 
@@ -414,20 +416,35 @@ def _save(path: Path, network, optimiser, average, running: dict[str, Tensor], s
 
 
 def _forget_later_rows(path: Path, step: int) -> None:
-    """Leave the whole rows up to a step: an interrupted training repeats those after its last checkpoint."""
+    """Leave the whole rows up to a step: an interrupted training repeats those after its last checkpoint.
+
+    Of a damaged file those stay that can be read; without the names of its columns, none.
+    """
     if not path.is_file():
         return
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
-    cells = len(rows[0]) if rows else 0
-    rows = rows[:1] + [row for row in rows[1:] if len(row) == cells and row[0].isdigit() and int(row[0]) <= step]
+    with reading(path, "the curves of a training", "delete it; the training goes on without what it told"):
+        lines = path.read_bytes().decode(errors="replace").splitlines()
+    names, *rows = [line.split(",") for line in lines] or [[""]]
+    if names[0] != STEP or UNREADABLE in "".join(names):
+        with writing(path):
+            path.unlink()
+        return
+    rows = [row for row in rows if len(row) == len(names) and _are_numbers(row) and int(row[0]) <= step]
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
+        csv.writer(file).writerows([names, *rows])
+
+
+def _are_numbers(row: list[str]) -> bool:
+    """Whether a row of the curves is whole: a step, and what was told of it."""
+    try:
+        return row[0].isascii() and row[0].isdigit() and all(isinstance(float(cell), float) for cell in row)
+    except ValueError:
+        return False
 
 
 def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None:
     fresh = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
+    with writing(path), path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         if fresh:
             writer.writerow([STEP, "rate", *numbers])
