@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.dotted_pool import write_dotted_pool
+from tests.dotted_pool import write_dotted_pool, write_window
 from tests.test_nothing_lost import small_disk
 from workbench.cli.training import RESULTS, Network
 from workbench.errors import InputError, OutputError
@@ -26,7 +26,7 @@ from workbench.networks import read_landmark_network, soft_argmax
 from workbench.networks.face_finder import UNIT_SIDE, boxes_of
 from workbench.networks.landmark_network import NAME, empty_landmark_network
 from workbench.networks.weights import fill, read_weights, write_weights
-from workbench.pictures.gl_probe import gl_available
+from workbench.pictures.gl_probe import WINDOW_VARIABLE, _working_window, gl_available
 from workbench.pictures.lighting import Light, Lighting
 from workbench.training import PLAN_FILE, loop
 from workbench.training.augment import Hardness, augmented, cut_out
@@ -46,7 +46,7 @@ from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, checked_plan, export_weights, folded_arrays, train
 from workbench.training.measuring import lids_of
-from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
+from workbench.training.pool import SHARD, Pool, make_shards, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
 from workbench.training.report import curves_figure
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
@@ -502,6 +502,9 @@ class TestLoop:
         figure = curves_figure(tmp_path / "curves.csv")
         assert [line.get_marker() or "" for axis in figure.axes for line in axis.lines] == [marker, marker]
 
+    def test_a_finished_training_whose_curves_are_gone_is_reported_without_them(self, tmp_path):
+        assert [len(axis.lines[0].get_xdata()) for axis in curves_figure(tmp_path / "curves.csv").axes] == [0, 0]
+
     def test_pictures_that_another_training_added_to_the_pool_do_not_count(self, tmp_path, monkeypatch):
         monkeypatch.setattr(loop, "_POOLS", {})
         (pool_folder := tmp_path / "pool").mkdir()
@@ -623,6 +626,12 @@ class TestLoop:
         write_dotted_pool(tmp_path)
         write_second_shard(tmp_path)
         assert len(open_pool(tmp_path, pictures)) == opened * SHARD
+
+    @pytest.mark.skipif(not gl_available(), reason="no off-screen OpenGL here")
+    def test_a_pools_processes_draw_in_the_window_that_needs_no_display(self, tmp_path, monkeypatch):
+        monkeypatch.delenv(WINDOW_VARIABLE, raising=False)
+        make_shards(write_window, tmp_path, 1, 1, 1)
+        assert (tmp_path / "window_0").read_text() == (_working_window() or "VTK's own choice")
 
     @pytest.mark.parametrize("part", [0, 1])
     @pytest.mark.parametrize("cut", [0, 0.5])

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.files import atomic_path, make_folder
+from workbench.pictures.gl_probe import gl_available
 from workbench.reading import reading
 from workbench.training.expressions import partly_fitted
 from workbench.training.scenes import EYES_VIEW, FACE_VIEW, FaceStudio, looking_around, random_expression
@@ -133,6 +134,7 @@ def make_shards(
 ) -> None:
     """`make(folder, seed, shard)` for each shard of `size` entries, over processes; progress counts entries."""
     make_folder(folder)
+    gl_available()  # names the window that needs no display, also to the processes
     # A fresh process now and then: a GL context does not survive a fork, and nothing piles up in memory.
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=4) as processes:
         for done, _ in enumerate(processes.imap(partial(make, folder, seed), range(count)), 1):

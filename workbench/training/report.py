@@ -55,10 +55,10 @@ def write_tables(folder: Path, name: str, tables: Mapping[str, Mapping[str, floa
 def curves_figure(path: Path, curves: Mapping[str, str] = CURVES) -> Figure:
     """Loss and error of the training pictures over the steps: columns of the file with their titles.
 
-    A few rows are points, too: of a quick training there is one, and no line.
+    A few rows are points, too: of a quick training there is one, and no line. Without the file, nothing is drawn.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    rows = list(csv.DictReader(lines))
     steps = [int(row["step"]) for row in rows]
     figure = Figure(figsize=(8, 3), layout="constrained")
     for axis, (name, title) in zip(figure.subplots(1, len(curves)), curves.items(), strict=True):
