@@ -627,7 +627,6 @@ class TestLoop:
         write_second_shard(tmp_path)
         assert len(open_pool(tmp_path, pictures)) == opened * SHARD
 
-    @pytest.mark.skipif(not gl_available(), reason="no off-screen OpenGL here")
     def test_a_pools_processes_draw_in_the_window_that_needs_no_display(self, tmp_path, monkeypatch):
         monkeypatch.delenv(WINDOW_VARIABLE, raising=False)
         make_shards(write_window, tmp_path, 1, 1, 1)

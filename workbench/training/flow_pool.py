@@ -19,9 +19,7 @@ SHARD = 120
 """Pairs in one set of files."""
 PAIRS_OF_A_PERSON = 6
 BACKGROUNDS, BACKGROUND_SIDE = 40, 384
-ROWS = {"pictures": SHARD, "flows": SHARD, "marks": SHARD, "backgrounds": BACKGROUNDS}
-"""The arrays of a set, and how many pairs or pictures each holds."""
-PARTS = tuple(ROWS)
+PARTS = ("pictures", "flows", "marks", "backgrounds")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +93,8 @@ def open_pair_pool(folder: Path, pairs: int | None = None) -> PairPool:
     if not files:
         raise InputError(f"{folder} holds no pool of rendered pairs: `workbench train flow FOLDER` makes one")
     return PairPool(**{
-        name: [array_on_disk(paths[name], ROWS[name]) for paths in files] for name in PARTS
+        name: [array_on_disk(paths[name], None if name == "backgrounds" else SHARD) for paths in files]
+        for name in PARTS
     })  # fmt: skip
 
 

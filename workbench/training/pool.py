@@ -166,11 +166,15 @@ def open_pool(folder: Path, pictures: int | None = None) -> Pool:
     )
 
 
-def array_on_disk(path: Path, rows: int) -> np.ndarray:
-    """An array of a pool, read as it is used. Raises `InputError` for a damaged file or another number of rows."""
+def array_on_disk(path: Path, rows: int | None) -> np.ndarray:
+    """An array of a pool, read as it is used, with so many rows; None: as many as there are.
+
+    Raises `InputError` for a damaged file, and for one of another number of rows.
+    """
     with reading(path, *DAMAGED):
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-        _check_rows(path.stem, array, rows)
+        if rows is not None:
+            _check_rows(path.stem, array, rows)
         return array
 
 
