@@ -1,11 +1,13 @@
 """A pool of training pictures whose landmarks can be seen."""
 
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from workbench.landmarks.alignment import MEAN_SHAPE
+from workbench.pictures.gl_probe import WINDOW_VARIABLE
 from workbench.training.pool import SHARD, shard_paths
 
 SIDE = 96
@@ -29,3 +31,8 @@ def write_dotted_pool(folder: Path) -> Path:
     numbers = {"angles": np.zeros((SHARD, 3)), "expressions": np.zeros((SHARD, 52)), "glasses": np.zeros(SHARD, bool)}
     np.savez(numbers_path, points=points, vertices=vertices, **numbers)
     return folder
+
+
+def write_window(folder: Path, seed: int, shard: int) -> None:
+    """A shard that says which kind of window its process would draw in."""
+    (folder / f"window_{shard}").write_text(os.environ.get(WINDOW_VARIABLE, "VTK's own choice"))

@@ -230,6 +230,12 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
     assert read_mapping("map.toml", head.expression_names, ("Mouth_Open", "Smile")).still == ()
 
 
+def test_a_file_of_its_own_beside_the_track_is_written_and_written_again(run, stored, tmp_path):
+    for _ in range(2):
+        assert run("export", "talk", "--to", "talk/mine.csv")[0] == 0
+    assert (tmp_path / "talk" / "mine.csv").is_file()
+
+
 # --- mistakes ---
 
 

@@ -20,11 +20,13 @@ from workbench.cli.training import training_folder
 from workbench.config import preset
 from workbench.errors import InputError, OutputError
 from workbench.export import FORMATS, export_track
+from workbench.face.usual_expressions import Moments, write_moments
 from workbench.files import atomic_path
 from workbench.frames import VideoWriter, write_picture
 from workbench.geometry import write_rig
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.networks.weights import write_weights
 from workbench.pipeline import track
 from workbench.pipeline.output_folder import locked
 from workbench.samples import sample
@@ -208,6 +210,25 @@ class TestInputsAreNotWrittenOver:
         before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         code, _, err = run(*arguments)
         assert code == 2
+        assert "would be overwritten; name another output" in err.replace("\n", " ")
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+    @pytest.mark.parametrize("source", ["out", "out/track.npz"])
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "export {} --to out/parameters.csv",
+            "export {} --to x.csv --to link.csv",
+            "diagnose {} --json out/summary.json",
+        ],
+    )
+    def test_a_commands_file_does_not_replace_a_result_of_the_run(self, run, quick, points, tmp_path, command, source):
+        quick(points, tmp_path / "out")
+        (tmp_path / "link.csv").symlink_to("out/landmarks.csv")
+        before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        code, _, err = run(*command.format(source).split())
+        assert code == 2
+        assert "is a result of the run" in err
         assert "would be overwritten; name another output" in err.replace("\n", " ")
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
@@ -552,6 +573,20 @@ class TestPlacesThatCannotBeWritten:
         refused = pytest.raises(OutputError, match="free some space and repeat")
         with refused, small_disk(1000), atomic_path(tmp_path / "a.npy") as temporary:
             np.save(temporary, np.zeros(1000))
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        "write",
+        [
+            lambda path: write_weights(path, {"a": np.zeros(1000, np.float32)}, {}),
+            lambda path: write_moments(path, Moments(("a",) * 40, np.eye(40)), {}),
+        ],
+        ids=["weights", "moments of expressions"],
+    )
+    def test_weights_that_find_no_room_say_what_the_system_says(self, tmp_path, write):
+        refused = pytest.raises(OutputError, match=r"w\.safetensors cannot be written .*; the system allows no larger")
+        with refused, small_disk(1000):
+            write(tmp_path / "w.safetensors")
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize("suffix", [*FORMATS, ".usda"])

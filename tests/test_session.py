@@ -471,6 +471,37 @@ def test_the_folder_of_a_run_is_tuned_on_as_its_track(track, tmp_path):
     assert open_session(tmp_path).config == QUICK
 
 
+DAMAGED_TRACKS = {
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[:500]),
+    "empty": lambda path: path.write_bytes(b""),
+    "junk": lambda path: path.write_bytes(b"junk " * 50),
+    "a folder": lambda path: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("results", [("config.toml",), ("summary.json",), ()], ids=" ".join)
+@pytest.mark.parametrize("damage", DAMAGED_TRACKS)
+def test_the_folder_of_a_run_with_a_damaged_track_is_told_as_by_reading_it(track, tmp_path, damage, results):
+    track.save(tmp_path / "track.npz")
+    for name in results:
+        (tmp_path / name).write_text("")
+    if results:
+        shutil.copy(sample("astronaut"), tmp_path)
+    DAMAGED_TRACKS[damage](tmp_path / "track.npz")
+    with pytest.raises(InputError) as told:
+        Track.load(tmp_path / "track.npz")
+    with pytest.raises(InputError) as opened:
+        open_session(tmp_path)
+    assert str(opened.value) == str(told.value)
+
+
+def test_the_folder_of_a_run_without_its_track_says_that_it_is_missing(tmp_path):
+    for name in ("config.toml", "summary.json"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(InputError, match=r"The track .*track\.npz does not exist"):
+        open_session(tmp_path)
+
+
 def test_photos_beside_another_array_of_that_name_are_photos(tmp_path):
     shutil.copy(sample("astronaut"), tmp_path)
     np.savez(tmp_path / "track.npz", points=np.zeros(3))

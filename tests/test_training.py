@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.dotted_pool import write_dotted_pool
+from tests.dotted_pool import write_dotted_pool, write_window
+from tests.test_nothing_lost import small_disk
 from workbench.cli.training import RESULTS, Network
-from workbench.errors import InputError
+from workbench.errors import InputError, OutputError
 from workbench.face import load_default_head
 from workbench.face.dense_landmarks import pupil_vertices
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_points
@@ -25,7 +26,7 @@ from workbench.networks import read_landmark_network, soft_argmax
 from workbench.networks.face_finder import UNIT_SIDE, boxes_of
 from workbench.networks.landmark_network import NAME, empty_landmark_network
 from workbench.networks.weights import fill, read_weights, write_weights
-from workbench.pictures.gl_probe import gl_available
+from workbench.pictures.gl_probe import WINDOW_VARIABLE, _working_window, gl_available
 from workbench.pictures.lighting import Light, Lighting
 from workbench.training import PLAN_FILE, loop
 from workbench.training.augment import Hardness, augmented, cut_out
@@ -43,10 +44,11 @@ from workbench.training.evaluation import (
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
-from workbench.training.loop import Phase, TrainingPlan, checked_plan, folded_arrays, train
+from workbench.training.loop import Phase, TrainingPlan, checked_plan, export_weights, folded_arrays, train
 from workbench.training.measuring import lids_of
-from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
+from workbench.training.pool import SHARD, Pool, make_shards, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
+from workbench.training.report import curves_figure
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
 from workbench.training.skin import skin_painter
@@ -55,6 +57,17 @@ from workbench.training.trainings import TRAININGS
 from workbench.training.wardrobe import open_wardrobe
 
 PLAN = TrainingPlan(phases=(Phase(32, 4, 3, 1e-3), Phase(64, 2, 2, 1e-3)), widths=(4, 4, 6, 6), blocks=1)
+
+
+OTHER = TorchLandmarkNetwork((6, 6, 8, 8), 1, 70).state_dict()
+WRONG_CHECKPOINTS = {
+    "without its network": lambda state: {name: value for name, value in state.items() if name != "network"},
+    "with another network": lambda state: state | {"network": OTHER},
+    "with another average": lambda state: state | {"average": OTHER},
+    "with a part of the average": lambda state: state | {"average": dict(list(state["average"].items())[1:])},
+    "a list": lambda state: list(state),
+}
+"""What may be in a file that PyTorch reads."""
 
 
 @pytest.fixture(scope="module")
@@ -456,6 +469,42 @@ class TestLoop:
         train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=lines.append)
         assert [line for line in lines if line.startswith("step 6 of 6")] == lines
 
+    @pytest.mark.parametrize(
+        ("damaged", "kept"),
+        [
+            (lambda told: told + b"\xff\xfe\x00,\n", ["step", "2", "4", "6"]),
+            (lambda told: told.replace(b"\n2,", b"\n2\xff,"), ["step", "4", "6"]),
+            (lambda told: told.replace(b"e-0", b"\xffe-0", 1), ["step", "4", "6"]),
+            (lambda told: b"\xff" + told, ["step", "6"]),
+            (lambda told: b"", ["step", "6"]),
+        ],
+        ids=["rows of junk", "a step", "a number", "the names", "all"],
+    )
+    def test_damaged_curves_keep_what_can_be_read_and_the_training_goes_on(
+        self, pool_folder, tmp_path, monkeypatch, damaged, kept
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        told = b"step,rate,loss\r\n2,1.000e-03,3.1000\r\n4,1.000e-03,2.1000\r\n"
+        (tmp_path / "curves.csv").write_bytes(damaged(told))
+        train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        rows = (tmp_path / "curves.csv").read_text().splitlines()
+        assert [row.split(",")[0] for row in rows] == kept
+
+    def test_curves_that_cannot_be_written_are_told_in_a_sentence(self, pool_folder, tmp_path):
+        (tmp_path / "curves.csv").mkdir()
+        with pytest.raises(OutputError, match=r"curves\.csv cannot be written .*; a folder is in the way"):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
+    @pytest.mark.parametrize(("rows", "marker"), [(1, "o"), (3, "o"), (60, "")])
+    def test_curves_of_few_rows_are_drawn_as_points(self, tmp_path, rows, marker):
+        lines = ["step,rate,loss,inner_percent", *(f"{50 * (k + 1)},1e-3,{3 / (k + 1)},9" for k in range(rows))]
+        (tmp_path / "curves.csv").write_text("\n".join(lines) + "\n")
+        figure = curves_figure(tmp_path / "curves.csv")
+        assert [line.get_marker() or "" for axis in figure.axes for line in axis.lines] == [marker, marker]
+
+    def test_a_finished_training_whose_curves_are_gone_is_reported_without_them(self, tmp_path):
+        assert [len(axis.lines[0].get_xdata()) for axis in curves_figure(tmp_path / "curves.csv").axes] == [0, 0]
+
     def test_pictures_that_another_training_added_to_the_pool_do_not_count(self, tmp_path, monkeypatch):
         monkeypatch.setattr(loop, "_POOLS", {})
         (pool_folder := tmp_path / "pool").mkdir()
@@ -578,6 +627,11 @@ class TestLoop:
         write_second_shard(tmp_path)
         assert len(open_pool(tmp_path, pictures)) == opened * SHARD
 
+    def test_a_pools_processes_draw_in_the_window_that_needs_no_display(self, tmp_path, monkeypatch):
+        monkeypatch.delenv(WINDOW_VARIABLE, raising=False)
+        make_shards(write_window, tmp_path, 1, 1, 1)
+        assert (tmp_path / "window_0").read_text() == (_working_window() or "VTK's own choice")
+
     @pytest.mark.parametrize("part", [0, 1])
     @pytest.mark.parametrize("cut", [0, 0.5])
     def test_a_damaged_pool_is_reported_with_what_to_do(self, tmp_path, part, cut):
@@ -587,6 +641,29 @@ class TestLoop:
         with pytest.raises(InputError, match=f"{path.name} cannot be read as a part of a training's pool .*; delete"):
             open_pool(tmp_path)
 
+    @pytest.mark.parametrize(
+        ("name", "value", "said"),
+        [
+            ("glasses", None, "it lacks glasses"),
+            ("angles", np.zeros((3, 3)), r"angles should have 240 rows, got the shape \(3, 3\)"),
+            ("points", np.float32(0.0), r"points should have 240 rows, got the shape \(\)"),
+        ],
+    )
+    def test_a_part_of_a_pool_that_lacks_something_is_reported_with_what_to_do(self, tmp_path, name, value, said):
+        write_dotted_pool(tmp_path)
+        path = shard_paths(tmp_path, 0)[1]
+        numbers = dict(np.load(path)) | {name: value}
+        np.savez(path, **{name: array for name, array in numbers.items() if array is not None})
+        with pytest.raises(InputError, match=f"{path.name} cannot be read as a part of .* pool \\({said}\\); delete"):
+            open_pool(tmp_path)
+
+    def test_pictures_that_are_too_few_are_reported_with_what_to_do(self, tmp_path):
+        write_dotted_pool(tmp_path)
+        path = shard_paths(tmp_path, 0)[0]
+        np.save(path, np.load(path)[:5])
+        with pytest.raises(InputError, match=r"pictures_0000 should have 240 rows, got the shape \(5, .*; delete it"):
+            open_pool(tmp_path)
+
     @pytest.mark.parametrize("cut", [0, 0.5])
     def test_a_damaged_checkpoint_is_reported_with_what_to_do(self, pool_folder, tmp_path, monkeypatch, cut):
         train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
@@ -594,6 +671,39 @@ class TestLoop:
         checkpoint.write_bytes(checkpoint.read_bytes()[: int(cut * checkpoint.stat().st_size)])
         with pytest.raises(InputError, match=r"checkpoint\.pt cannot be read as a training's checkpoint .*--overwrite"):
             train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+
+    @pytest.mark.parametrize("wrong", WRONG_CHECKPOINTS)
+    def test_a_checkpoint_of_something_else_is_reported_with_what_to_do(
+        self, pool_folder, tmp_path, monkeypatch, wrong
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = tmp_path / "checkpoint.pt"
+        torch.save(WRONG_CHECKPOINTS[wrong](torch.load(checkpoint, weights_only=True)), checkpoint)
+        before = checkpoint.read_bytes()
+        refused = r"checkpoint\.pt cannot be read as a training's checkpoint .*; add --overwrite"
+        with pytest.raises(InputError, match=refused):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        assert checkpoint.read_bytes() == before
+        if "network" not in wrong:
+            with pytest.raises(InputError, match=refused):
+                export_weights(LandmarkTask(), tmp_path)
+
+    def test_a_full_disk_leaves_the_last_checkpoint_and_weights_and_says_what_to_do(
+        self, pool_folder, tmp_path, monkeypatch
+    ):
+        train_a_phase(pool_folder, tmp_path, PLAN, monkeypatch)
+        checkpoint = (tmp_path / "checkpoint.pt").read_bytes()
+        refused = pytest.raises(OutputError, match=r"checkpoint\.pt cannot be written \(File too large\); ")
+        with refused, small_disk(10_000):
+            train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        assert (tmp_path / "checkpoint.pt").read_bytes() == checkpoint
+        weights = train(LandmarkTask(), pool_folder, tmp_path, PLAN, 0, every=2, report=quiet)
+        before = weights.read_bytes()
+        refused = pytest.raises(OutputError, match=r"weights\.safetensors cannot be written \(File too large\); ")
+        with refused, small_disk(1000):
+            export_weights(LandmarkTask(), tmp_path)
+        assert weights.read_bytes() == before
+        assert not list(tmp_path.glob(".*"))
 
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):

@@ -94,8 +94,15 @@ class TestPairs:
     def test_as_much_of_a_pool_is_opened_as_is_asked_for(self, tmp_path, pairs, opened):
         for shard in (0, 1):
             for path in shard_files(tmp_path, shard).values():
-                np.save(path, np.zeros(1))
+                np.save(path, np.zeros(SHARD))
         assert len(open_pair_pool(tmp_path, pairs)) == opened * SHARD
+
+    @pytest.mark.parametrize("short", ["pictures", "flows", "marks"])
+    def test_a_part_of_a_pool_with_too_few_pairs_is_reported_with_what_to_do(self, tmp_path, short):
+        for name, path in shard_files(tmp_path, 0).items():
+            np.save(path, np.zeros(3 if name == short else SHARD))
+        with pytest.raises(InputError, match=rf"{short}_0000 should have 120 rows, got the shape \(3,\)\); delete it"):
+            open_pair_pool(tmp_path)
 
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="workbench train flow"):

@@ -166,16 +166,17 @@ def check_new(path: Path, remedy: str = "name another (--out), or add --overwrit
         raise OutputError(f"{shortened(path)} exists already; {remedy}.")
 
 
-def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path], what: str = "an input") -> None:
     """Raise `OutputError` where a file or folder to be written is one that is read, also through links.
 
-    Of a folder that is read, its files count too, but no folders inside it: these are not read.
+    Of a folder that is read, its files count too, but no folders inside it: these are not read. `what` names the kind
+    of what would be lost.
     """
     read = {_place(file): file for path in inputs for file in _with_files(path)}
     for path in outputs:
         if (place := _place(path)) is not None and place in read:
             same = "" if read[place] == path else f" ({shortened(read[place])})"
-            raise OutputError(f"{shortened(path)} is an input{same} and would be overwritten; name another output.")
+            raise OutputError(f"{shortened(path)} is {what}{same} and would be overwritten; name another output.")
 
 
 def _with_files(path: Path) -> Iterator[Path]:

@@ -47,10 +47,14 @@ def diagnose(
     model: Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")] = None,
 ) -> None:
     """Frames of a track that stand out, or the reasons for one."""
+    from workbench.pipeline.output_folder import check_results_kept
+
     if frame is not None and every:
         raise InputError("Give --frame or --all, not both: --all lists the frames that stand out.")
     track = workbench.Track.load(track_file(run))
-    check_not_inputs(filter(None, (json_file, csv_file)), [track_file(run), *workbench.export.input_files(track.meta)])
+    files = [path for path in (json_file, csv_file) if path is not None]
+    check_not_inputs(files, [track_file(run), *workbench.export.input_files(track.meta)])
+    check_results_kept(track_file(run), files)
     if frame is None:
         record = _flags(track)
         _print_flags(record, run, every, config_of_track(track.meta).traits.diagnosed)

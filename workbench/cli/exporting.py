@@ -59,6 +59,8 @@ def export(
     pictures: Annotated[Path | None, typer.Option(help="The pictures, if they have been moved.")] = None,
 ) -> None:
     """Write a track as what other programs read."""
+    from workbench.pipeline.output_folder import check_results_kept
+
     stored = track_file(run)
     character = None if character == PLAIN else character
     dress = character if character is not None and is_character(character) else None
@@ -76,6 +78,7 @@ def export(
     given = [path for path in (model, player, mapping) if path is not None]
     track = workbench.Track.load(stored)
     check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])
+    check_results_kept(stored, to)
     head, notes = model_of_track(track, model)
     dressed = None if dress is None else workbench.face.dressed_as(dress, head)
     if player is not None:

@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from safetensors import safe_open
-from safetensors.numpy import save_file
 
 from workbench.arrays import AnyArray
 from workbench.errors import ModelError
 from workbench.face.default_head import GAZE_NAMES
-from workbench.files import atomic_path
 from workbench.reading import checked_file, reading
 
 ONE_SIDED = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
@@ -105,6 +103,6 @@ def read_moments(path: Path) -> Moments:
 
 def write_moments(path: Path, moments: Moments, notes: dict[str, str]) -> None:
     """Write moments in single precision, with `notes` on where they come from."""
-    with atomic_path(path) as temporary:
-        metadata = {**notes, "names": json.dumps(moments.names)}
-        save_file({"second": moments.second.astype(np.float32)}, temporary, metadata)
+    from workbench.networks.weights import write_weights  # here: faces do without networks
+
+    write_weights(path, {"second": moments.second.astype(np.float32)}, {**notes, "names": json.dumps(moments.names)})

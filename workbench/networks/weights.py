@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import DictKey, KeyEntry, SequenceKey
 from safetensors import safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from workbench.errors import ModelError
 from workbench.files import atomic_path
@@ -69,10 +69,11 @@ def read_weights(path: str | Path) -> Weights:
 
 
 def write_weights(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write a safetensors file, completely or not at all."""
+    """Write a safetensors file, completely or not at all. Raises `OutputError` where that cannot be."""
     packed = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    content = save(packed, metadata=dict(metadata))
     with atomic_path(path) as temporary:
-        save_file(packed, temporary, metadata=dict(metadata))
+        temporary.write_bytes(content)  # the library's own writer reports a full disk by an error of its own
 
 
 def named_arrays(module: eqx.Module) -> dict[str, jax.Array]:

@@ -73,6 +73,12 @@ def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
     check_not_inputs([folder, *(folder / name for name in FILES), *drawn], inputs)
 
 
+def check_results_kept(track: Path, outputs: Iterable[Path]) -> None:
+    """Raise `OutputError` if one of these files would replace a result of the run that wrote this track beside it."""
+    if track.name in TRACKS:
+        check_not_inputs(outputs, [track.with_name(name) for name in FILES], "a result of the run")
+
+
 def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str = "--overwrite") -> None:
     """Raise `OutputError` where one of these files is in a folder already: `what` is, and `remedy` would replace it."""
     if any((folder / name).exists() for name in names):

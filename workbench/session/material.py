@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 
 from workbench.config import Config, Hashed
 from workbench.errors import InputError
-from workbench.frames import Frame, Frames
+from workbench.frames import Frame, Frames, images_in_folder
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pipeline import is_landmark_file, open_source
@@ -166,7 +166,8 @@ def stored_track(path: str | Path, folders: bool = True) -> Path | None:
     path = Path(path)
     if path.suffix.lower() == ".npz":
         return path
-    return path / "track.npz" if folders and _is_track(path / "track.npz") else None
+    track = path / "track.npz"
+    return track if folders and (_is_track(track) or _should_be_track(track)) else None
 
 
 def _is_track(path: Path) -> bool:
@@ -175,6 +176,23 @@ def _is_track(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             return "meta.npy" in archive.namelist()
     except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def _should_be_track(path: Path) -> bool:
+    """Whether a file is missing or damaged in the folder of a run: reading the track then says what is wrong."""
+    if zipfile.is_zipfile(path):
+        return False
+    results = [os.path.isfile(path.with_name(name)) for name in ("config.toml", "summary.json")]
+    if os.path.lexists(path):
+        return any(results) or not _holds_pictures(path.parent)
+    return all(results) and not _holds_pictures(path.parent)
+
+
+def _holds_pictures(folder: Path) -> bool:
+    try:
+        return bool(images_in_folder(folder))
+    except InputError:
         return False
 
 

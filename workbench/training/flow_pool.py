@@ -93,7 +93,8 @@ def open_pair_pool(folder: Path, pairs: int | None = None) -> PairPool:
     if not files:
         raise InputError(f"{folder} holds no pool of rendered pairs: `workbench train flow FOLDER` makes one")
     return PairPool(**{
-        name: [array_on_disk(paths[name]) for paths in files] for name in PARTS
+        name: [array_on_disk(paths[name], None if name == "backgrounds" else SHARD) for paths in files]
+        for name in PARTS
     })  # fmt: skip
 
 

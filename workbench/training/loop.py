@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import io
 import json
 import math
 import time
@@ -14,14 +15,13 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
-from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from workbench.errors import InputError
-from workbench.files import atomic_path
+from workbench.files import atomic_path, writing
 from workbench.landmarks.schemes import DensePoints
 from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
-from workbench.networks.weights import ARCHITECTURE, read_weights
+from workbench.networks.weights import ARCHITECTURE, read_weights, write_weights
 from workbench.reading import checked_json, reading, shortened
 from workbench.training import PLAN_FILE
 from workbench.training.batch_studio import BatchStudio
@@ -32,6 +32,10 @@ AVERAGING = 0.998
 """Decay per step of the moving average of the weights, which is what is kept."""
 STEP = "step"
 """The first column of the curves."""
+UNREADABLE = "\N{REPLACEMENT CHARACTER}"
+"""What stands for bytes that are no text."""
+CHECKPOINT = "a training's checkpoint", "add --overwrite to train again; the pool is kept"
+"""What a checkpoint should be, and what to do where it is not."""
 
 
 @dataclass(frozen=True)
@@ -305,8 +309,10 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
     """
     plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
-    state = _checkpoint(folder / "checkpoint.pt", "cpu")
-    network.load_state_dict(state["average"])
+    with reading(folder / "checkpoint.pt", *CHECKPOINT):
+        state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
+        network.load_state_dict(state["average"])
+        origin = {"steps": str(state["step"]), "start": plan.start}
     arrays = task.arrays(network)
     if start is not None and plan.learned < 1.0:
         began = read_weights(start).arrays
@@ -314,18 +320,7 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
         arrays |= {name: plan.learned * arrays[name] + (1.0 - plan.learned) * began[name] for name in shared}
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
     path = folder / "weights.safetensors"
-    with atomic_path(path) as temporary:
-        save_file(
-            arrays,
-            temporary,
-            {
-                **(metadata or {}),
-                ARCHITECTURE: task.architecture,
-                **size,
-                "steps": str(state["step"]),
-                "start": plan.start,
-            },
-        )
+    write_weights(path, arrays, {**(metadata or {}), ARCHITECTURE: task.architecture, **size, **origin})
     return path
 
 
@@ -393,46 +388,63 @@ def _single_threaded(_worker: int) -> None:
     torch.set_num_threads(1)
 
 
-def _checkpoint(path: Path, device: str | torch.device) -> dict[str, Any]:
-    with reading(path, "a training's checkpoint", "add --overwrite to train again; the pool is kept"):
-        return torch.load(path, map_location=device, weights_only=True)
-
-
 def _resumed(path: Path, network, optimiser, average: dict[str, Tensor], running: dict[str, Tensor]) -> int:
-    """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there."""
+    """The step of a checkpoint, 0 without one; network, optimiser and numbers become what they were there.
+
+    Raises `InputError` for what is none of this network; some of them may have changed then.
+    """
     if not path.is_file():
         return 0
-    state = _checkpoint(path, next(network.parameters()).device)
-    network.load_state_dict(state["network"])
-    optimiser.load_state_dict(state["optimiser"])
-    for name, value in state["average"].items():
-        average[name].copy_(value)
-    running.update(state.get("running", {}))  # older checkpoints have none
-    return int(state["step"])
+    with reading(path, *CHECKPOINT):
+        state = torch.load(path, map_location=next(network.parameters()).device, weights_only=True)
+        network.load_state_dict(state["average"])  # this compares names and shapes
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        for name, value in state["average"].items():
+            average[name].copy_(value)
+        running.update(state.get("running", {}))  # older checkpoints have none
+        return int(state["step"])
 
 
 def _save(path: Path, network, optimiser, average, running: dict[str, Tensor], step: int) -> None:
     learned = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average}
     state = {**learned, "running": running, "step": step}
+    content = io.BytesIO()
+    torch.save(state, content)  # PyTorch's own writer reports a full disk by an error of its own
     with atomic_path(path) as temporary:
-        torch.save(state, temporary)
+        temporary.write_bytes(content.getbuffer())
 
 
 def _forget_later_rows(path: Path, step: int) -> None:
-    """Leave the whole rows up to a step: an interrupted training repeats those after its last checkpoint."""
+    """Leave the whole rows up to a step: an interrupted training repeats those after its last checkpoint.
+
+    Of a damaged file those stay that can be read; without the names of its columns, none.
+    """
     if not path.is_file():
         return
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
-    cells = len(rows[0]) if rows else 0
-    rows = rows[:1] + [row for row in rows[1:] if len(row) == cells and row[0].isdigit() and int(row[0]) <= step]
+    with reading(path, "the curves of a training", "delete it; the training goes on without what it told"):
+        lines = path.read_bytes().decode(errors="replace").splitlines()
+    names, *rows = [line.split(",") for line in lines] or [[""]]
+    if names[0] != STEP or UNREADABLE in "".join(names):
+        with writing(path):
+            path.unlink()
+        return
+    rows = [row for row in rows if len(row) == len(names) and _are_numbers(row) and int(row[0]) <= step]
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
+        csv.writer(file).writerows([names, *rows])
+
+
+def _are_numbers(row: list[str]) -> bool:
+    """Whether a row of the curves is whole: a step, and what was told of it."""
+    try:
+        return row[0].isascii() and row[0].isdigit() and all(isinstance(float(cell), float) for cell in row)
+    except ValueError:
+        return False
 
 
 def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None:
     fresh = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
+    with writing(path), path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         if fresh:
             writer.writerow([STEP, "rate", *numbers])

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.files import atomic_path, make_folder
+from workbench.pictures.gl_probe import gl_available
 from workbench.reading import reading
 from workbench.training.expressions import partly_fitted
 from workbench.training.scenes import EYES_VIEW, FACE_VIEW, FaceStudio, looking_around, random_expression
@@ -19,6 +20,8 @@ from workbench.training.skin import skin_painter
 
 SHARD = 240
 """Pictures in one file pair."""
+NUMBERS = ("points", "vertices", "angles", "expressions", "glasses")
+"""What is known of each picture."""
 PICTURES_OF_A_PERSON = 4
 DAMAGED = "a part of a training's pool", "delete it and repeat the command, which renders it again"
 """What a file of a pool should be, and what to do where it is not."""
@@ -131,6 +134,7 @@ def make_shards(
 ) -> None:
     """`make(folder, seed, shard)` for each shard of `size` entries, over processes; progress counts entries."""
     make_folder(folder)
+    gl_available()  # names the window that needs no display, also to the processes
     # A fresh process now and then: a GL context does not survive a fork, and nothing piles up in memory.
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=4) as processes:
         for done, _ in enumerate(processes.imap(partial(make, folder, seed), range(count)), 1):
@@ -153,7 +157,7 @@ def open_pool(folder: Path, pictures: int | None = None) -> Pool:
         raise InputError(f"{folder} holds no pool of rendered heads: `workbench train landmarks FOLDER` makes one")
     numbers = [_numbers_in(path) for path, _ in shards]
     return Pool(
-        pictures=[array_on_disk(path) for _, path in shards],
+        pictures=[array_on_disk(path, SHARD) for _, path in shards],
         points=[shard["points"] for shard in numbers],
         vertices=[shard["vertices"] for shard in numbers],
         angles_deg=[shard["angles"] for shard in numbers],
@@ -162,15 +166,31 @@ def open_pool(folder: Path, pictures: int | None = None) -> Pool:
     )
 
 
-def array_on_disk(path: Path) -> np.ndarray:
-    """An array of a pool, read as it is used. Raises `InputError` for a damaged file."""
+def array_on_disk(path: Path, rows: int | None) -> np.ndarray:
+    """An array of a pool, read as it is used, with so many rows; None: as many as there are.
+
+    Raises `InputError` for a damaged file, and for one of another number of rows.
+    """
     with reading(path, *DAMAGED):
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if rows is not None:
+            _check_rows(path.stem, array, rows)
+        return array
 
 
 def _numbers_in(path: Path) -> dict[str, np.ndarray]:
     with reading(path, *DAMAGED), path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-        return dict(stored)
+        numbers = dict(stored)
+        if missing := [name for name in NUMBERS if name not in numbers]:
+            raise ValueError(f"it lacks {', '.join(missing)}")
+        for name in NUMBERS:
+            _check_rows(name, numbers[name], SHARD)
+        return numbers
+
+
+def _check_rows(name: str, array: np.ndarray, rows: int) -> None:
+    if np.shape(array)[:1] != (rows,):
+        raise ValueError(f"{name} should have {rows} rows, got the shape {np.shape(array)}")
 
 
 def halves(pool: Pool) -> tuple[Pool, Pool]:

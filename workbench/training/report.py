@@ -15,6 +15,8 @@ DENSE_CURVES = {**CURVES, "dense_percent": "dense points, % of the outer-eye dis
 EYE_CURVES = {"loss": "loss", "pupil_percent": "pupils of open eyes, % of the eye's width"}
 """Columns of the curves that are drawn, and what they are."""
 
+FEW = 10
+"""Up to so many rows of the curves are drawn as points, too."""
 SHARES = {"inside", "right"}
 """Words of columns that are shares."""
 
@@ -51,13 +53,16 @@ def write_tables(folder: Path, name: str, tables: Mapping[str, Mapping[str, floa
 
 
 def curves_figure(path: Path, curves: Mapping[str, str] = CURVES) -> Figure:
-    """Loss and error of the training pictures over the steps: columns of the file with their titles."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    """Loss and error of the training pictures over the steps: columns of the file with their titles.
+
+    A few rows are points, too: of a quick training there is one, and no line. Without the file, nothing is drawn.
+    """
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    rows = list(csv.DictReader(lines))
     steps = [int(row["step"]) for row in rows]
     figure = Figure(figsize=(8, 3), layout="constrained")
     for axis, (name, title) in zip(figure.subplots(1, len(curves)), curves.items(), strict=True):
-        axis.plot(steps, [float(row[name]) for row in rows], color="#2a6f97")
+        axis.plot(steps, [float(row[name]) for row in rows], color="#2a6f97", marker="o" if len(rows) <= FEW else "")
         axis.set_yscale("log")
         axis.set_xlabel("step")
         axis.set_title(title)
