@@ -249,7 +249,7 @@ def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch, capsys):
     with pytest.raises(SystemExit):
         cli.main()
     text = " ".join(commands[0])
-    assert "jupyterlab" in text
+    assert "-m workbench.cli.lab_server" in text
     assert "--no-browser" in text
     assert "00_" in text
     assert "token" not in text
