@@ -32,8 +32,10 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.planning import plan_of
 from workbench.runtime import cache_folder
 from workbench.samples import sample, samples_folder
+from workbench.sweeps.storage import Storage
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
+from workbench.workers import ThisProcess
 
 
 @pytest.fixture
@@ -247,7 +249,7 @@ def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch, capsys):
     with pytest.raises(SystemExit):
         cli.main()
     text = " ".join(commands[0])
-    assert "jupyterlab" in text
+    assert "-m workbench.cli.lab_server" in text
     assert "--no-browser" in text
     assert "00_" in text
     assert "token" not in text
@@ -390,6 +392,50 @@ def test_where_no_notebooks_can_be_copied_to_one_reads_to_start_elsewhere(run, n
         f"error: The notebooks cannot be copied to {tmp_path / 'workbench_notebooks'} (File exists); "
         "start it in a folder that can be written to and has room for them.\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["track", "points.csv", "--preset", "deep", "--out", "taken"], "taken already holds a finished run"),
+        (["track", "nowhere.mp4", "--preset", "deep"], "nowhere.mp4"),
+        (["track", "points.csv", "--preset", "deep", "--frames", "5-"], "first and last frame as A-B"),
+        (["sweep", "points.csv", "--set", "weights.tau=0.1,1", "--out", "taken"], "taken holds a sweep"),
+    ],
+)
+def test_what_is_wrong_with_a_command_is_told_before_workers_start(
+    arguments, message, run, points, tmp_path, monkeypatch
+):
+    Storage(str(tmp_path / "taken")).write("sweep.json", b"{}")
+    (tmp_path / "taken" / "track.npz").touch()
+    monkeypatch.setattr("workbench.workers.workers_for", lambda *wanted: pytest.fail(f"started {wanted}"))
+    code, out, err = run(*arguments, "--workers", "2")
+    assert code == 2
+    assert message in err
+    assert out == ""
+
+
+def test_workers_of_a_command_start_once_tell_their_dashboard_and_end_with_it(monkeypatch, capsys):
+    class Dashboard(ThisProcess):
+        said = "Dask dashboard: here"
+        closed = False
+
+        def close(self):
+            self.closed = True
+
+    hired = []
+    monkeypatch.setattr("workbench.workers.workers_for", lambda *wanted: hired.append(Dashboard()) or hired[-1])
+    with screen.at_work(2, None) as workers:
+        assert workers.count == 2
+    assert hired == []
+    with screen.at_work(2, None) as workers:
+        for _ in range(2):
+            assert dict(workers.results([])) == {}
+        assert (len(hired), hired[0].closed) == (1, False)
+    assert hired[0].closed
+    with screen.at_work(2, "tcp://host:1"):  # whether it can be reached is known at once
+        assert len(hired) == 2
+    assert capsys.readouterr().out.splitlines() == ["Dask dashboard: here"] * 2
 
 
 def test_an_interruption_says_how_to_go_on_where_frames_are_kept(run, points, monkeypatch, tmp_path):

@@ -50,15 +50,17 @@ def notebook(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def server(notebook, tmp_path_factory):
-    """The running app: its address with the token, and its process."""
+    """The running app: its address with the token, its process, and the file of what it says on standard error."""
     pytest.importorskip("voila")
     port, token, pages = free_port(), secrets.token_hex(8), tmp_path_factory.mktemp("pages")
     servers.write_app_pages(servers.notebooks_folder(), pages)
     environment = servers.app_environment(token, pages)
-    process = subprocess.Popen(servers.app_command(notebook, port), env=environment, stderr=subprocess.DEVNULL)
+    said = pages / "stderr"
+    with said.open("w") as stream:
+        process = subprocess.Popen(servers.app_command(notebook, port), env=environment, stderr=stream)
     try:
         wait_until(lambda: servers.answers(port) or process.poll() is not None)
-        yield f"http://127.0.0.1:{port}/?token={token}", psutil.Process(process.pid)
+        yield f"http://127.0.0.1:{port}/?token={token}", psutil.Process(process.pid), said
     finally:
         process.terminate()
         process.wait(20)
@@ -119,7 +121,7 @@ def test_without_the_token_there_is_a_login_page_only(address):
 def test_widgets_work_a_file_is_sent_and_a_page_that_is_left_ends_its_process(server):
     from playwright.sync_api import sync_playwright
 
-    (address, process), foreign, failed = server, [], []
+    (address, process, said), foreign, failed = server, [], []
     others = set(process.children())
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser.CHROMIUM, headless=True, args=browser.FLAGS)
@@ -144,6 +146,7 @@ def test_widgets_work_a_file_is_sent_and_a_page_that_is_left_ends_its_process(se
         chromium.close()
     assert foreign == []
     assert failed == []
+    assert "websocket_ping" not in said.read_text()
 
 
 ICON = """() => getComputedStyle(document.querySelector("button i"), "::before").fontFamily.replaceAll('"', "")"""
@@ -246,6 +249,40 @@ def test_a_browser_is_opened_with_the_token_where_there_is_one(notebook, run, mo
     assert "token=" in opened[0]
     run("app", "--no-browser", "--port", str(free_port()))
     assert len(opened) == 1
+
+
+def test_lab_starts_without_warnings_and_does_not_ask_about_news_unless_the_user_wants_them(run, monkeypatch, tmp_path):
+    pytest.importorskip("jupyterlab")
+    told, port = [], free_port()
+    chosen, plugin = tmp_path / "user-settings", "@jupyterlab/apputils-extension"
+    monkeypatch.setenv("JUPYTERLAB_SETTINGS_DIR", str(chosen))
+    monkeypatch.setenv("JUPYTER_CONFIG_DIR", str(tmp_path / "config"))
+
+    def settings(token):
+        asked = urllib.request.Request(f"http://127.0.0.1:{port}/lab/api/settings/{plugin}:notification")
+        asked.add_header("Authorization", f"token {token}")
+        with urllib.request.urlopen(asked) as answer:
+            found = json.load(answer)
+        return found["schema"]["properties"]["fetchNews"]["default"], found["settings"].get("fetchNews")
+
+    def served(command, environment, is_up, ready):
+        assert environment["JUPYTER_TOKEN"] not in " ".join(command)
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_until(lambda: is_up() or process.poll() is not None)
+            told.append(settings(environment["JUPYTER_TOKEN"]))
+            (chosen / plugin).mkdir(parents=True)
+            (chosen / plugin / "notification.jupyterlab-settings").write_text('{"fetchNews": "true"}')
+            told.append(settings(environment["JUPYTER_TOKEN"]))
+        finally:
+            process.terminate()
+            told.append(process.communicate(timeout=20)[1])
+        return 0
+
+    monkeypatch.setattr(servers, "serve", served)
+    assert run("lab", "--no-browser", "--port", str(port))[0] == 0
+    assert told[:2] == [("false", None), ("false", "true")]
+    assert "Warning" not in told[2]
 
 
 def test_without_voila_the_install_command_is_told(run, monkeypatch):

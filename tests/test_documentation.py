@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -19,17 +20,34 @@ TARGETS = sorted(set(re.findall(r"^make ([\w-]+)", EVERYTHING, re.M)))
 LINKS = sorted({(page, link) for page, text in PAGES.items() for link in re.findall(r"\]\(([^)#]+)\)", text)})
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_line_is_parsed_with_all_its_values(command):
-    """As the command itself would: unknown commands, options and choices, and missing values, raise."""
+def parsed(command):
+    """The values of a command line, as the command itself would read them."""
     leaf, words = get_command(app), shlex.split(command)[1:]
     while hasattr(leaf, "commands"):
         leaf = leaf.commands[words.pop(0)]
-    given = leaf.make_context(leaf.name, words).params
+    return leaf.make_context(leaf.name, words).params
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_line_is_parsed_with_all_its_values(command):
+    """Unknown commands, options and choices, and missing values, raise."""
+    given = parsed(command)
     assert given.get("preset_name") in (None, *PRESETS)
     assert given.get("detector") in (None, *get_args(LandmarksConfig.model_fields["detector"].annotation))
     assert given.get("infill") in (None, *get_args(InfillConfig.model_fields["method"].annotation))
     assert given.get("refine") in (None, *get_args(RefinementConfig.model_fields["method"].annotation))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/guides/track.md"])
+def test_the_runs_of_a_page_work_in_their_order(page):
+    """A folder that holds a run takes another one only to continue or to replace it."""
+    taken = set()
+    for command in re.findall(r"^(workbench track [^#\n]*)", PAGES[page], re.M):
+        given = parsed(command)
+        folder = given["out"] or Path("out") / given["inputs"][0].stem
+        assert folder not in taken or given["resume"] or given["overwrite"], command
+        taken.add(folder)
+    assert len(taken) >= 5
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -113,6 +113,15 @@ def test_parts_of_a_clip_do_not_overlap():
         parts_of_clip(1)
 
 
+def test_each_part_of_a_short_clip_has_frames_for_a_stretch_where_that_can_be():
+    for frames in range(36, 200):
+        parts = parts_of_clip(frames).named
+        assert min(map(len, parts.values())) >= 12, frames
+        assert sum(map(len, parts.values())) == frames
+    assert parts_of_clip(55).named == {"train": range(31), "watch": range(31, 43), "held_out": range(43, 55)}
+    assert [len(part) for part in parts_of_clip(20).named.values()] == [12, 4, 4]  # enough for a search
+
+
 def test_the_interval_of_a_change_holds_it():
     before = np.abs(np.random.default_rng(0).normal(2.0, 0.3, 200))
     change = change_of(before, 0.8 * before)
@@ -149,9 +158,11 @@ def test_stretches_neither_cross_cuts_nor_gaps(clip):
     observations[5] = replace(observations[5], cut=True)
     observations[20] = replace(observations[20], landmarks=None)
     torn = replace(clip, observations=tuple(observations))
-    assert stretches_in(torn, range(40), 12) == [range(5, 17), range(21, 33)]
-    with pytest.raises(InputError, match="no 12 in a row"):
-        stretches_in(torn, range(10, 25), 12)
+    assert stretches_in(torn, range(40), "train") == [range(5, 17), range(21, 33)]
+    with pytest.raises(InputError, match=r"frames to learn on, 10:25, have no 12 in a row.*\(--train"):
+        stretches_in(torn, range(10, 25), "train")
+    with pytest.raises(InputError, match=r"frames that choose the step, 10:25, have no 12 in a row.*\(--watch"):
+        stretches_in(torn, range(10, 25), "watch")
 
 
 def test_a_gradient_refuses_pictures_of_two_sizes(clip):

@@ -170,6 +170,9 @@ def test_the_avatar_gets_the_calibrated_face_shape(panel, camera, frames):
     before = panel.view._person["neutral"]
     play(panel, camera, frames[:26])
     assert panel.session.calibrated == "first second"
+    panel.status._written = 0.0
+    panel.status.tell(panel.session)
+    assert "face shape: from the first second" in panel.status.value
     assert panel.view._person["neutral"] != before
 
 
@@ -312,6 +315,26 @@ def test_the_kernels_camera_goes_off_when_no_page_was_heard_of_for_long(panel, c
 def test_both_cameras_keep_one_protocol(head):
     assert isinstance(BrowserCamera(LiveView(head)), FrameSource)
     assert isinstance(HandCamera(), FrameSource)
+
+
+@pytest.mark.parametrize(
+    ("camera", "offered", "said"),
+    [
+        (None, "browser's camera", "from the browser to the kernel and nowhere else."),
+        (0, "kernel's camera", "of camera 0 of the kernel go from the kernel to this page"),
+        (sample("performance"), "performance.mp4", "of performance.mp4 go from the kernel to this page"),
+    ],
+)
+def test_the_first_message_says_where_the_pictures_of_the_chosen_source_go(head, camera, offered, said):
+    made = LivePanel(camera, head)
+    assert made.camera.value == offered
+    assert made.view.message.startswith("Press start. ")
+    assert said in made.view.message
+    made.camera.value = "sample clip"
+    assert "of laugh.mp4 go from the kernel to this page" in made.view.message
+    made.camera.value = "browser's camera"
+    assert "from the browser to the kernel" in made.view.message
+    made.close()
 
 
 # --- buttons ---

@@ -1,6 +1,7 @@
 """The panel's page of tuning without a browser: what is asked, what grows, and taking or discarding a result."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.config import preset
 from workbench.errors import ConfigError, InputError
 from workbench.learning import Tuned
+from workbench.learning.parts import read_frames
 from workbench.session import Material, TuningSession
 from workbench.session.learning import tune_material
 from workbench.session.material import PictureStore
@@ -96,9 +98,49 @@ def test_what_has_a_gradient_and_acts_can_be_learned():
 def test_parts_are_shown_as_first_and_last_frame_and_the_held_out_one_is_halved():
     assert usual_parts(240) == ("0-143", "144-239")
     assert parts_texts("0-143", "144-239") == {"train": "0:144", "watch": "144:192", "held_out": "192:240"}
-    for texts in (("", "5-9"), ("0-3, 5-6", "7-9"), ("0-3", "4-4")):
-        with pytest.raises(InputError):
+    for texts in (("", "20-50"), ("0-13, 15-16", "20-50"), ("0-19", "soon")):
+        with pytest.raises(InputError, match="Write"):
             parts_texts(*texts)
+
+
+def test_the_parts_that_are_offered_have_room_to_learn_and_to_choose_the_step_in():
+    assert usual_parts(55) == ("0-30", "31-54")
+    for frames in range(36, 200):
+        parts = {name: read_frames(text) for name, text in parts_texts(*usual_parts(frames)).items()}
+        assert min(map(len, parts.values())) >= 12, frames
+    with pytest.raises(InputError, match=r"Hold out at least 24 frames: half of them choose the step.*; 33-54 are 22"):
+        parts_texts("0-32", "33-54")
+    with pytest.raises(InputError, match="Learn on at least 12 frames; 0-10 are 11"):
+        parts_texts("0-10", "11-54")
+
+
+@pytest.mark.parametrize("frames", [1, 35])
+def test_a_clip_that_is_too_short_says_so_before_tune_can_be_pressed(head, material, frames):
+    session = TuningSession(head, replace(material, observations=material.observations[:frames]), CONFIG)
+    session.tune = Tuning(session)
+    page = TunePage(session, lambda seconds: True, 170)
+    assert page.go.disabled
+    assert "at least 36 frames: 12 to learn on and 24 held out" in page.said.value
+    assert f"This one has {frames}." in page.said.value
+    done(page)
+    assert session.tune.asked == []
+    page.close()
+
+
+def test_parts_in_which_faces_are_missing_are_named_as_they_are_typed(head, material):
+    observations = list(material.observations)
+    observations[20] = replace(observations[20], landmarks=None)
+    session = TuningSession(head, replace(material, observations=tuple(observations)), CONFIG)
+    session.tune = Tuning(session)
+    page = TunePage(session, lambda seconds: True, 170)
+    assert not page.go.disabled
+    done(page)
+    assert "The first half of the held-out frames, 16-27, have no 12 in a row with a face" in page.said.value
+    page.held_out.value = "16-40"
+    done(page)
+    assert "The clip has frames 0-39; choose within them." in page.said.value
+    assert session.tune.asked == []
+    page.close()
 
 
 def test_it_learns_what_is_chosen_and_the_curve_grows_with_the_held_out_value(page):
@@ -107,7 +149,7 @@ def test_it_learns_what_is_chosen_and_the_curve_grows_with_the_held_out_value(pa
     done(page)
     objective, learn, options = page._session.tune.asked[0]
     assert (objective, learn) == ("left-out-parts", ("weights.tau",))
-    assert options == {"train": "0:24", "watch": "24:32", "held_out": "32:40", "steps": 3}
+    assert options == {"train": "0:16", "watch": "16:28", "held_out": "28:40", "steps": 3}
     sent = page.chart._series
     assert sent["names"] == [LEARNED_ON, HELD_OUT]
     np.testing.assert_array_equal(
@@ -169,7 +211,7 @@ def test_refused_requests_are_said_in_a_sentence(page):
     page.held_out.value = "soon"
     done(page)
     assert "Write frames as 40-52" in page.said.value
-    page.held_out.value = "24-39"
+    page.held_out.value = "16-39"
     page._session.tune = refuses
     done(page)
     assert "weights.beta is above 0." in page.said.value

@@ -229,7 +229,7 @@ class TestASearchBeforeAGradient:
         self.found, self.begun, self.place = Searched(preset("joint"), False), [], tmp_path / "a.toml"
         monkeypatch.setattr(tuning, "searched", lambda *given: self.found)
         monkeypatch.setattr(tuning, "measured", lambda *given: [{"held_out": np.ones(9)}] * 2)
-        monkeypatch.setattr(tuning, "stretches_in", lambda clip, part: [range(0, 12)])
+        monkeypatch.setattr(tuning, "stretches_in", lambda *given: [range(0, 12)])
         monkeypatch.setattr(tuning, "example_of", lambda *given: 1.0)
         monkeypatch.setattr(tuning, "watched_on", lambda *given: lambda logs: 1.0)
         monkeypatch.setattr(tuning, "compiled_slope", lambda *given: valley)
@@ -315,7 +315,7 @@ class TestASearchBeforeAGradient:
         clip = SweptClip("clip", "digest", tuple(observations(range(36), gaps=range(12, 24))), False)
         parts = Parts(train=range(12), watch=range(12, 24), held_out=range(24, 36))
         wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), (read_axis(AXIS),))
-        with pytest.raises(InputError, match=r"Frames 12:24 have no 12 in a row with a face"):
+        with pytest.raises(InputError, match=r"choose the step, 12:24, have no 12 in a row with a face.*--watch"):
             tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place)
         assert not asked
         assert self.place.with_suffix(".learning.json").exists()

@@ -122,13 +122,45 @@ def progress_bar(unit: str = "frames/s") -> Iterator[Callable[..., None]]:
         yield progress
 
 
+class _HiredWhenNeeded:
+    """Workers of this machine that start with their first tasks, and name their dashboard then."""
+
+    said = ""
+
+    def __init__(self, count: int, kind: str):
+        self._wanted, self._hired = (count, None, kind), None
+
+    @property
+    def count(self) -> int:
+        return self._wanted[0] if self._hired is None else self._hired.count
+
+    def results(self, *given) -> Iterator[tuple[int, object]]:
+        if self._hired is None:
+            self._hired = workbench.workers.workers_for(*self._wanted)
+            _tell_of(self._hired)
+        return self._hired.results(*given)
+
+    def close(self) -> None:
+        if self._hired is not None:
+            self._hired.close()
+
+
 @contextmanager
 def at_work(count: int, scheduler: str | None, kind: str = "auto") -> Iterator["workbench.workers.Workers"]:
-    """The workers of a command (`workbench.workers.workers_for`), which end with it; their dashboard is named."""
-    workers = workbench.workers.workers_for(count, scheduler, kind)
+    """The workers of a command (`workbench.workers.workers_for`), which end with it; their dashboard is named.
+
+    A cluster of this machine takes seconds to start, and does so when it is needed: what is wrong with the command is
+    told before. A scheduler is there, or not, at once.
+    """
+    starts = scheduler is None and (count > 1 or kind == "dask")
+    workers = _HiredWhenNeeded(count, kind) if starts else workbench.workers.workers_for(count, scheduler, kind)
     try:
-        if workers.said:
-            console.print(workers.said, soft_wrap=True)
+        _tell_of(workers)
         yield workers
     finally:
         workers.close()
+
+
+def _tell_of(workers: "workbench.workers.Workers") -> None:
+    if workers.said:
+        console.print(workers.said, soft_wrap=True)

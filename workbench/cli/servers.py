@@ -33,10 +33,13 @@ APP_PAGE = Path(__file__).resolve().parent / "app_page"
 """Voilà's settings (voila.json) and the page's template.
 
 This machine only, a token, and neither files of the folder nor anything from other hosts (the Content-Security-Policy,
-whatever a later Voilà links to). Without `disable_check_xsrf` a page that is left could not end its Python process:
-Voilà sends no token with that request. Its origin is checked all the same. Processes whose page vanished end after ten
-minutes.
+whatever a later Voilà links to). Tornado only tells errors: it warns of Jupyter's pings, whose times it takes for its
+own; shorter ones would end connections. Without `disable_check_xsrf` a page that is left could not end its Python
+process: Voilà sends no token with that request. Its origin is checked all the same. Processes whose page vanished end
+after ten minutes.
 """
+LAB_SETTINGS = Path(__file__).resolve().parent / "lab_settings"
+"""A default under the user's own settings: JupyterLab does not ask over the first notebook whether to fetch news."""
 LOCALHOST = "127.0.0.1"
 PROMPT = "workbench.widgets.prompt_channels.PromptChannels"
 """How both servers hand a kernel's messages to the browser: at once. By name, because only they import it."""
@@ -66,7 +69,7 @@ def lab(
     page = sorted(folder.glob("*.ipynb"))[0].name
     ports = range(port, min(port + PORTS_TRIED, LAST_PORT + 1))
     port = next((free for free in ports if not answers(free)), port)
-    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
+    command = [sys.executable, "-m", "workbench.cli.lab_server", f"--notebook-dir={folder}", f"--port={port}"]
     # Its many lines on starting have several addresses and hide the one to open; what goes wrong is still printed.
     command += [
         f"--LabApp.default_url=/lab/tree/{page}",
@@ -79,9 +82,8 @@ def lab(
     command += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
     token = secrets.token_hex(24)
     address = f"http://{LOCALHOST}:{port}/lab/tree/{page}?token={token}"
-    # In the environment, because command lines can be read by every user.
-    environment = {**os.environ, "JUPYTER_TOKEN": token}
-    raise typer.Exit(serve(command, environment, lambda: answers(port), _teller("JupyterLab", address, browser)))
+    ready = _teller("JupyterLab", address, browser)
+    raise typer.Exit(serve(command, lab_environment(token), lambda: answers(port), ready))
 
 
 def serve_app(
@@ -113,6 +115,12 @@ def _teller(name: str, address: str, browser: bool) -> Callable[[], None]:
             webbrowser.open(address)
 
     return ready
+
+
+def lab_environment(token: str) -> dict[str, str]:
+    """Environment of JupyterLab. The token goes here because command lines can be read by every user."""
+    paths = [*filter(None, [os.environ.get("JUPYTER_CONFIG_PATH")]), str(LAB_SETTINGS)]
+    return {**os.environ, "JUPYTER_TOKEN": token, "JUPYTER_CONFIG_PATH": os.pathsep.join(paths)}
 
 
 def app_command(notebook: Path, port: int) -> list[str]:

@@ -12,16 +12,25 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.learning.chain import Stretch
+from workbench.learning.parts import LENGTH
 from workbench.objectives import ObservedClip
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import clip_in
 from workbench.sweeps.solving import ChainJob, ClipSolver
+from workbench.tracking import FrameObservation
 from workbench.tracking.walk import jumped
 
-LENGTH = 12
-"""Frames of a stretch."""
 SETTLING = 4
 """Frames at its beginning that no objective counts: it is fitted from scratch, and E_τ begins with its third frame."""
+PARTS_IN_WORDS = {
+    "train": ("The frames to learn on", "choose more of them (--train, with --held-out)"),
+    "watch": (
+        "The frames that choose the step",
+        "choose more of them (--watch, with --train and --held-out), or give --train and --held-out alone: then the "
+        "last step is kept",
+    ),
+}
+"""What a part without a stretch is called, and what to do."""
 
 
 class Example(NamedTuple):
@@ -54,27 +63,29 @@ def _stretch_of(job: ChainJob) -> Stretch:
     return Stretch(measured[..., :2], measured[..., 2], start, job.person, job.setting.numbers, frames.whitening)
 
 
-def stretches_in(clip: SweptClip, frames: range, length: int = LENGTH) -> list[range]:
-    """The frames of a part in runs of `length` with a face throughout, without a cut, a gap or a jump between them.
+def stretches_in(clip: SweptClip, frames: range, part: str) -> list[range]:
+    """The frames of a part, "train" or "watch", in stretches. Raises `InputError` for a part without any."""
+    found = runs_in(clip.observations, frames)
+    if not found:
+        what, remedy = PARTS_IN_WORDS[part]
+        where = f"{frames.start}:{frames.stop}"
+        raise InputError(f"{what}, {where}, have no {LENGTH} in a row with a face and without a cut; {remedy}.")
+    return found
 
-    Raises `InputError` for a part without any.
-    """
+
+def runs_in(observations: Sequence[FrameObservation], frames: range) -> list[range]:
+    """Frames in stretches, each with a face throughout, without a cut, a gap or a jump between them."""
     found, run = [], 0
     for k in frames:
-        now = clip.observations[k].landmarks
+        now = observations[k].landmarks
         if now is None:
             run = 0
             continue
-        goes_on = run and not clip.observations[k].cut
-        run = run + 1 if goes_on and not jumped(clip.observations[k - 1].landmarks.points, now.points) else 1
-        if run == length:
-            found.append(range(k + 1 - length, k + 1))
+        goes_on = run and not observations[k].cut
+        run = run + 1 if goes_on and not jumped(observations[k - 1].landmarks.points, now.points) else 1
+        if run == LENGTH:
+            found.append(range(k + 1 - LENGTH, k + 1))
             run = 0
-    if not found:
-        raise InputError(
-            f"Frames {frames.start}:{frames.stop} have no {length} in a row with a face and without a cut; choose a "
-            "longer part."
-        )
     return found
 
 

@@ -7,6 +7,10 @@ from itertools import pairwise
 from workbench.errors import ConfigError, InputError
 
 _PART = re.compile(r"(\d+):(\d+)")
+LENGTH = 12
+"""Frames of a stretch: what is learned on and what is watched need one at least."""
+SHORTEST = 3 * LENGTH
+"""Frames of the shortest clip that has a stretch for each part."""
 SHARES = (0.6, 0.8)
 """Where a clip is cut if nothing is said: after what is learned on, and after what is watched."""
 
@@ -36,16 +40,25 @@ def read_frames(text: str) -> range:
     return range(int(found[1]), int(found[2]))
 
 
+def usual_cuts(frames: int) -> tuple[int, int]:
+    """Where a clip is cut if nothing is said: at its shares, or earlier, so that the last two parts have a stretch."""
+    first, second = (round(share * frames) for share in SHARES)
+    if frames < SHORTEST:
+        return first, second
+    return min(first, frames - 2 * LENGTH), min(second, frames - LENGTH)
+
+
 def parts_of_clip(
     frames: int, train: range | None = None, watch: range | None = None, held_out: range | None = None
 ) -> Parts:
     """The parts of a clip with this many frames: three fifths, one fifth and one fifth if none is given.
 
-    Raises `InputError` for a clip that is too short for three parts, for parts outside the clip or that overlap, and if
-    one of train and held-out is missing, or both while watch is given.
+    Of a short clip the last two are longer, so that each has a stretch. Raises `InputError` for a clip that is too
+    short for three parts, for parts outside the clip or that overlap, and if one of train and held-out is missing, or
+    both while watch is given.
     """
     if train is None and held_out is None and watch is None:
-        first, second = (round(share * frames) for share in SHARES)
+        first, second = usual_cuts(frames)
         train, watch, held_out = range(first), range(first, second), range(second, frames)
         if not (train and watch and held_out):
             raise InputError(f"The clip is too short to tune on: {frames} frame(s); choose a longer one.")

@@ -158,12 +158,12 @@ def check_learnable(config: Config, clip: SweptClip, wanted: Wanted) -> None:
     check_gradient(wanted.objectives)
     size_of(clip, trained_on(clip, wanted))
     if wanted.parts.watch is not None:
-        stretches_in(clip, wanted.parts.watch)
+        stretches_in(clip, wanted.parts.watch, "watch")
 
 
 def trained_on(clip: SweptClip, wanted: Wanted) -> list[range]:
     """The stretches that are searched and learned on. Raises `InputError` for a part without any."""
-    return spread(stretches_in(clip, wanted.parts.train), TRAINED)
+    return spread(stretches_in(clip, wanted.parts.train, "train"), TRAINED)
 
 
 def learn_on(
@@ -209,7 +209,7 @@ def watched_on(solver: ClipSolver, config: Config, clip: SweptClip, wanted: Want
 
     The identity is calibrated with these values: where the gradient holds it, a step may look better than it is.
     """
-    windows = spread(stretches_in(clip, wanted.parts.watch), WATCHED)
+    windows = spread(stretches_in(clip, wanted.parts.watch, "watch"), WATCHED)
 
     def watched(logs: Logs) -> float:
         value = value_of(solver, learned(config, logs), clip, windows, wanted.objectives)

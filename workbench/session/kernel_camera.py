@@ -30,7 +30,7 @@ class KernelCamera:
         self._is_file = not isinstance(device, int)
         if self._is_file and not Path(device).is_file():
             raise InputError(f"There is no video {device}; name a file, or a camera by its number (0 is the first).")
-        self.name = f"{Path(device).name} as a camera" if self._is_file else f"camera {device} of the kernel"
+        self.name = Path(device).name if self._is_file else f"camera {device} of the kernel"
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -106,7 +106,9 @@ class KernelCamera:
         )
 
     def _fell_silent(self, number: int) -> str:
-        if self._is_file or not number:
+        if self._is_file:
+            return f"The video {self.device} delivers no pictures; try another one."
+        if not number:
             return f"{self.name.capitalize()} delivers no pictures; try another one."
         return f"{self.name.capitalize()} no longer delivers pictures; plug it in again and press start."
 

@@ -38,7 +38,7 @@ class CameraBar:
         self.run.observe(lambda change: switch(change["new"]), "value")
         # Linked in the browser, so that the camera switches off even while the kernel is busy.
         running = widgets.jsdlink((self.run, "value"), (view, "running"))
-        self.camera = menu(list(cameras), "150px", "source of the pictures")
+        self.camera = menu(list(cameras), "170px", "source of the pictures")
         self.camera.observe(lambda _change: changed(), "value")
         self.neutral = small_button("☺ neutral face", "look into the camera with a neutral face, then press")
         self.neutral.on_click(lambda _button: calibrate())

@@ -5,15 +5,22 @@ from collections.abc import Callable
 
 from workbench.errors import WorkbenchError
 from workbench.session.live import LiveSession
+from workbench.session.live_frame import FrameSource
 from workbench.widgets.live_view import LiveView
 from workbench.widgets.status_line import error_text
 
 WELCOME = "Press start. Pictures go from the browser to the kernel and nowhere else."
+WELCOME_KERNEL = "Press start. Pictures of {name} go from the kernel to this page and nowhere else."
 STOPPED = "Stopped; the camera is off."
 READYING = "Getting ready …"
 NEUTRAL = "Look into the camera with a neutral face: mouth closed, brows at rest …"
 ALERT_S = 8.0
 """An error is shown over a running picture for this time."""
+
+
+def welcome(source: FrameSource) -> str:
+    """What to do first, and where the pictures of a source go."""
+    return WELCOME if source.in_browser else WELCOME_KERNEL.format(name=source.name)
 
 
 class LiveMessages:

@@ -19,7 +19,7 @@ from workbench.widgets.cell_reruns import replace_earlier
 from workbench.widgets.closing import close_all_of
 from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
+from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, LiveMessages, welcome
 from workbench.widgets.live_settings import LiveSettings
 from workbench.widgets.live_status import LiveStatus
 from workbench.widgets.live_view import LiveView
@@ -53,9 +53,8 @@ class LivePanel(widgets.VBox):
         self.session = LiveSession(load_default_head() if model is None else model, config)
         model = self.session.model  # with the detector's points
         self.fit: FrameFit | None = None
-        self._lock = threading.RLock()
         self._source: FrameSource | None = None
-        self._warm = False
+        self._lock, self._warm = threading.RLock(), False
         self._person: np.ndarray = self.session.identity
         self.view = LiveView(model, height_px - 32, dressed_as(self.session.config.head.character, model))
         self._messages, self.drags = LiveMessages(self.view), PanelPage()
@@ -65,15 +64,14 @@ class LivePanel(widgets.VBox):
         self._cameras = CameraBar(self.view, cameras, self._switch, self._on_camera, self.calibrate)
         self.run_button, self.camera, self.neutral = self._cameras.widgets
         self.mirror, self.looking = self._cameras.looks
-        rows = self._build(height_px)
         self._worker: LatestWins[LiveFrame] = LatestWins(self._work, self._messages.failed, "live-fit")
         self.view.on_left(self.stop)
         self.view.observe(self._on_running, "running")
-        super().__init__([style_sheet(), self.drags, *rows])
+        super().__init__([style_sheet(), self.drags, *self._build(height_px)])
         classed(self, "fw-panel", "fw-live-panel")
         self._closed = False
         replace_earlier(self)
-        self.say(WELCOME)
+        self.say(welcome(self._cameras.chosen))
 
     def __repr__(self) -> str:
         return f"LivePanel({self.session!r}, {'running' if self.running else 'stopped'})"
@@ -195,6 +193,8 @@ class LivePanel(widgets.VBox):
             if self.running:
                 self._end()
                 self._begin()
+            else:
+                self.say(welcome(self._cameras.chosen))
 
     def _on_trouble(self, sentence: str) -> None:
         self.stop()

@@ -7,6 +7,12 @@ import ipywidgets as widgets
 from workbench.session.live import LiveSession
 
 STATUS_S = 0.25
+SHAPES = {
+    "mean face": "average",
+    "first second": "from the first second",
+    "neutral face": "from the neutral face",
+}
+SHAPE_TIP = "how wide the face is, how far apart its eyes are; measured once, and anew by the button neutral face"
 
 
 class LiveStatus(widgets.HTML):
@@ -27,7 +33,7 @@ class LiveStatus(widgets.HTML):
         if time.monotonic() - self._written < STATUS_S:
             return
         gathering, recording = session.gathering, session.recording
-        words = [f"face shape: {session.calibrated}"]
+        words = [f"<span title='{SHAPE_TIP}'>face shape: {SHAPES[session.calibrated]}</span>"]
         if gathering is not None:
             words = [f"neutral face: {gathering[0]} of {gathering[1]} frames"]
         if recording is not None:

@@ -1,7 +1,7 @@
 """Tuning in the panel: the clip chooses settings by an objective; its result is taken in one undo step or discarded."""
 
 import html
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,14 +12,16 @@ from workbench.config import Config
 from workbench.errors import ConfigError, InputError
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.learning import LEARNABLE, Tuned
+from workbench.learning.examples import runs_in
 from workbench.learning.learnable import POINTS
-from workbench.learning.parts import SHARES, read_frames
+from workbench.learning.parts import LENGTH, SHORTEST, read_frames, usual_cuts
 from workbench.objectives import TABLE, read_sum
 from workbench.session import TuningSession
 from workbench.session.knob_words import plain_words
 from workbench.session.knobs import inert_among
 from workbench.session.parts import read_parts
 from workbench.session.sweep_settings import value_at
+from workbench.tracking import FrameObservation
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.page_work import PageWork
@@ -33,6 +35,8 @@ USUAL = ("weights.tau", "weights.sigma_smooth")
 STEPS, MOST_STEPS = 12, 200
 CONTROLS_PX = 620
 LEARNED_ON, HELD_OUT = "frames it learns on", "held-out frames"
+ROLES = {"train": "The frames to learn on", "watch": "The first half of the held-out frames"}
+"""The parts that need a stretch, in words."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,9 @@ class TunePage(widgets.HBox):
         self._explain()
         self.show_config()
         self._show_result(None)
+        if why := too_short(len(session)):
+            self.said.say(why)
+            self.go.disabled, self.go.tooltip = True, why
 
     # --- for scripts and tests ---
 
@@ -140,11 +147,14 @@ class TunePage(widgets.HBox):
 
     def _submit(self) -> None:
         self._explain()
+        if why := too_short(len(self._session)):
+            raise InputError(why)
         can = learnable(self._session.config, self._session.material.scheme)
         learn = tuple(path for path, button in self.learn.items() if button.value and path in can)
         if not learn:
             raise ConfigError("Choose what to learn first, such as steady head.")
         parts = parts_texts(self.train.value, self.held_out.value)
+        check_faces(self._session.material.observations, parts)
         # What it means is known by now, and its lines are those that the result needs to be seen whole.
         self.words.layout.display = "none"
         self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
@@ -200,21 +210,47 @@ def learnable(config: Config, scheme: LandmarkScheme | None = None) -> tuple[str
 
 def usual_parts(frames: int) -> tuple[str, str]:
     """The frames to learn on and to hold out that are offered for a clip of so many."""
-    first = round(SHARES[0] * frames)
+    first, _ = usual_cuts(frames)
     return f"0-{max(first - 1, 0)}", f"{first}-{frames - 1}"
+
+
+def too_short(frames: int) -> str:
+    """Why a clip of so many frames cannot be tuned on; empty where it can."""
+    if frames >= SHORTEST:
+        return ""
+    return (
+        f"Tuning needs a clip of at least {SHORTEST} frames: {LENGTH} to learn on and {2 * LENGTH} held out. "
+        f"This one has {frames}."
+    )
 
 
 def parts_texts(train: str, held_out: str) -> dict[str, str]:
     """FIRST:END of the parts by name, from first and last frames as 0-99.
 
     Of the frames held out, the first half chooses the step that is kept and the second half gives the reported error.
-    Raises `InputError` for anything else.
+    Raises `InputError` for anything else, and for parts without room for a stretch.
     """
     (first, last), (start, end) = _part(train), _part(held_out)
+    if last - first + 1 < LENGTH:
+        raise InputError(f"Learn on at least {LENGTH} frames; {first}-{last} are {last - first + 1}.")
+    if end - start + 1 < 2 * LENGTH:
+        raise InputError(
+            f"Hold out at least {2 * LENGTH} frames: half of them choose the step, the other half only report; "
+            f"{start}-{end} are {end - start + 1}."
+        )
     middle = (start + end + 1) // 2
-    if middle == start:
-        raise InputError(f"Hold out at least two frames, got {held_out!r}.")
     return {"train": f"{first}:{last + 1}", "watch": f"{start}:{middle}", "held_out": f"{middle}:{end + 1}"}
+
+
+def check_faces(observations: Sequence[FrameObservation], parts: Mapping[str, str]) -> None:
+    """Raise `InputError`, in the words of the page, for parts outside the clip, or that lack faces to learn by."""
+    if max(read_frames(text).stop for text in parts.values()) > len(observations):
+        raise InputError(f"The clip has frames 0-{len(observations) - 1}; choose within them.")
+    for name, what in ROLES.items():
+        frames = read_frames(parts[name])
+        if not runs_in(observations, frames):
+            where = f"{frames.start}-{frames.stop - 1}"
+            raise InputError(f"{what}, {where}, have no {LENGTH} in a row with a face and without a cut; choose more.")
 
 
 def _part(text: str) -> tuple[int, int]:
