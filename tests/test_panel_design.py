@@ -309,6 +309,10 @@ def test_where_all_are_equal_none_is_the_best():
     same, better = {"all_68_percent_mean": 2.0}, {"all_68_percent_mean": 1.0}
     assert "fw-best" not in comparison_html({"the start": same, "now": same})
     assert comparison_html({"the start": same, "now": better}).count("fw-best") == 1
+    alike = {"all_68_percent_mean": 2.001}
+    assert "fw-best" not in comparison_html({"the start": same, "now": alike})
+    assert "fw-best" not in comparison_html({"the start": {}, "now": same})
+    assert comparison_html({"the start": same, "now": better, "other": alike}).count("fw-best") == 1
 
 
 def test_a_frame_without_a_face_has_no_numbers(panel):
