@@ -188,7 +188,7 @@ class SweepPage(Beside):
             raise ConfigError("Choose a setting first: type words such as steady, lens or jaw.")
         names = tuple(choice.setting.words for choice, _ in chosen)
         self._warmed = True  # what a sweep needs, the first one compiles; warming up would take its place
-        self._jobs.submit(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
+        self._jobs.ask(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
 
     def _take(self, number: int) -> None:
         point = self.result.points[number]

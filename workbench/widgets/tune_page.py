@@ -147,7 +147,7 @@ class TunePage(Beside):
         parts = parts_texts(self.train.value, self.held_out.value)
         # What it means is known by now, and its lines are those that the result needs to be seen whole.
         self.words.layout.display = "none"
-        self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
+        self._jobs.ask(Asked(self.objective.value, learn, parts, self.steps.value))
 
     def _take(self) -> None:
         changes = learned_changes(self.result)
