@@ -449,9 +449,9 @@ def test_on_a_frame_without_a_face_nothing_of_another_one_is_left(comparison, pa
 def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comparison, panel):
     run = panel.session.run
     comparison.choices[1].value = "–"
-    panel.session.set(weights={"sigma_smooth": 0.7})
     panel.follow.value = False
     try:
+        panel.session.set(weights={"sigma_smooth": 20.0})
         panel.session.take_snapshot("never fitted")
         panel.turn("weights.sigma_smooth", 0.5)
         assert panel.wait_idle(60)
