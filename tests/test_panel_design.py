@@ -451,7 +451,7 @@ def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comp
     comparison.choices[1].value = "–"
     panel.follow.value = False
     try:
-        panel.session.set(weights={"sigma_smooth": 20.0})
+        panel.session.set(weights={"sigma_smooth": 11.0})
         panel.session.take_snapshot("never fitted")
         panel.turn("weights.sigma_smooth", 0.5)
         assert panel.wait_idle(60)

@@ -34,12 +34,11 @@ class PageWork(Generic[Request]):
     ) -> None:
         self._work, self._said, self._give_way, self._stopped = work, said, give_way, stopped
         self.stop = small_button("stop", stop_tip)
-        self._worker: Stoppable[Request | None] = Stoppable(self._serve, said.failed, name, self.stop)
+        self._worker: Stoppable[Request | None] = Stoppable(self._serve, said.failed, name, self.stop, None)
         self.ask, self.submit = self._worker.ask, self._worker.submit
         self.wait_idle, self.close = self._worker.wait_idle, self._worker.close
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="2px 0"))
         self.progress.layout.visibility = "hidden"
-        self.stop.on_click(lambda _button: self.submit(None))
         self.running = False
         """Whether work runs that is `shown`: it was asked for, and would be lost."""
 

@@ -8,7 +8,10 @@ from workbench.widgets.latest import LatestWins, Request
 
 
 class Stoppable(LatestWins[Request]):
-    """Enables `button` from `ask` until the end of what was asked for; what is submitted besides leaves it as it is."""
+    """Enables `button` from `ask` until the end of what was asked for; what is submitted besides leaves it as it is.
+
+    The button submits `stop`, the request that takes the place of the others.
+    """
 
     def __init__(
         self,
@@ -16,10 +19,12 @@ class Stoppable(LatestWins[Request]):
         failed: Callable[[Exception], None],
         name: str,
         button: widgets.Button,
+        stop: Request,
     ) -> None:
         self._stopped_work, self._button = work, button
         self._asked: Request | None = None
         button.disabled = True
+        button.on_click(lambda _button: self.submit(stop))
         super().__init__(self._until_done, failed, name)
 
     def ask(self, request: Request) -> None:

@@ -65,8 +65,7 @@ class TimePage:
         self.methods = Methods(session, go)
         self.result = LineAbout(self._shown_now)
         self.cancel = small_button("cancel", "stop; finished results are kept")
-        self.cancel.on_click(lambda _button: self.run("cancel"))
-        self._worker: Stoppable[str] = Stoppable(self._work, self.result.failed, "panel-time", self.cancel)
+        self._worker: Stoppable[str] = Stoppable(self._work, self.result.failed, "panel-time", self.cancel, "cancel")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         views.timeline.observe(self._on_part, "loop")
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
