@@ -35,7 +35,7 @@ from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
-from workbench.widgets.status_line import degrees, status_of
+from workbench.widgets.status_line import WRONG, degrees, status_of
 from workbench.widgets.timeline_view import TimelineView
 from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
 
@@ -309,6 +309,10 @@ def test_where_all_are_equal_none_is_the_best():
     same, better = {"all_68_percent_mean": 2.0}, {"all_68_percent_mean": 1.0}
     assert "fw-best" not in comparison_html({"the start": same, "now": same})
     assert comparison_html({"the start": same, "now": better}).count("fw-best") == 1
+    alike = {"all_68_percent_mean": 2.001}
+    assert "fw-best" not in comparison_html({"the start": same, "now": alike})
+    assert "fw-best" not in comparison_html({"the start": {}, "now": same})
+    assert comparison_html({"the start": same, "now": better, "other": alike}).count("fw-best") == 1
 
 
 def test_a_frame_without_a_face_has_no_numbers(panel):
@@ -445,9 +449,9 @@ def test_on_a_frame_without_a_face_nothing_of_another_one_is_left(comparison, pa
 def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comparison, panel):
     run = panel.session.run
     comparison.choices[1].value = "–"
-    panel.session.set(weights={"sigma_smooth": 0.7})
     panel.follow.value = False
     try:
+        panel.session.set(weights={"sigma_smooth": 11.0})
         panel.session.take_snapshot("never fitted")
         panel.turn("weights.sigma_smooth", 0.5)
         assert panel.wait_idle(60)
@@ -1028,6 +1032,36 @@ def test_files_and_commands_have_the_same_names_with_the_users_folder_and_the_su
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plain.toml", "talk.glb"]
     for file in ("plain.toml", "talk.glb"):
         assert f" {tmp_path / file}" in dialog.performance.command.value
+
+
+def test_a_file_that_could_not_be_loaded_is_said_in_red_and_not_named_in_commands_until_it_is_saved(panel, tmp_path):
+    dialog = ExportDialog(panel.session, lambda job: job(), panel.page.download)
+    settings, command = dialog.settings, dialog.performance.command
+    settings.file.value = str(tmp_path / "mine.toml")
+    settings.export.click()
+    assert WRONG not in settings.exported.value
+    settings.file.value = str(tmp_path / "clip.mp4")
+    settings.load.click()
+    assert WRONG in settings.exported.value
+    assert "clip.mp4.toml does not exist" in settings.exported.value
+    assert f"--config {tmp_path / 'mine.toml'}" in command.value
+    settings.export.click()
+    assert WRONG not in settings.exported.value
+    assert f"--config {tmp_path / 'clip.mp4.toml'}" in command.value
+
+
+def test_what_failed_is_said_until_the_next_action(panel, tmp_path):
+    dialog = ExportDialog(panel.session, lambda job: job(), panel.page.download)
+    settings, performance = dialog.settings, dialog.performance
+    settings.file.value, performance.file.value = str(tmp_path / "absent.toml"), "talk.wrong"
+    performance.go.click()
+    assert WRONG in performance.said.value
+    settings.load.click()
+    assert "talk.wrong" not in performance.said.value
+    assert WRONG in settings.exported.value
+    performance.go.click()
+    assert WRONG in performance.said.value
+    assert settings.exported.value == ""
 
 
 @pytest.mark.parametrize("taken", [False, True], ids=["written", "refused"])

@@ -76,6 +76,20 @@ def small(page):
     return page
 
 
+NARROW_PX = 720
+"""Width of a panel in a window of 900 pixels, or in one of 1100 with JupyterLab's list of files open."""
+
+
+@pytest.fixture
+def narrow(small):
+    """The page in a window in which the panel is narrow."""
+    outside = SMALL["width"] - small.page.locator(".fw-panel").bounding_box()["width"]
+    small.page.set_viewport_size({"width": round(NARROW_PX + outside), "height": 1000})
+    small.page.wait_for_function(f"() => Math.abs(document.querySelector('.fw-panel').offsetWidth - {NARROW_PX}) < 3")
+    small.wait_at_rest(".fw-views")
+    return small
+
+
 def state(page):
     return json.loads(page.page.locator(".fw-overlay").get_attribute("data-state"))
 
@@ -201,7 +215,9 @@ def test_sliders_are_long_and_no_text_is_cut(small):
     tab(small, "ω")
 
 
-def test_no_text_of_the_pages_is_cut(small):
+@pytest.mark.parametrize("size", ["small", "narrow"])
+def test_no_text_of_the_pages_is_cut(small, request, size):
+    request.getfixturevalue(size)
     for title in ("Stages", "Diagnosis", "Curves", "Methods", "Sweep", "Tune", "Compare", "Film strip", "Changes"):
         tab(small, title)
         small.wait_at_rest(".fw-pages")
@@ -212,6 +228,50 @@ def test_no_text_of_the_pages_is_cut(small):
             small.page.wait_for_function("(e) => e.value.includes('ω_τ')", arg=setting.element_handle())
         assert small.page.evaluate(CUT) == [], title
     fold(small)
+
+
+def test_on_a_narrow_page_titles_of_stages_stand_above_their_columns_and_every_button_is_reached(narrow, screenshots):
+    tab(narrow, "Stages")
+    narrow.wait_at_rest(".fw-stages")
+    begin, beginnings = narrow.page.evaluate(
+        """() => [...document.querySelectorAll('.fw-stages > .widget-hbox')].slice(1, 3).map(
+          (row) => [...row.children].filter((e) => e.offsetWidth).map((e) => e.getBoundingClientRect().left))"""
+    )
+    assert begin == pytest.approx(beginnings, abs=1.0)
+    for last in ("button[title='remove this stage']", ".widget-label"):
+        narrow.page.locator(f".fw-stages {last}:visible").last.scroll_into_view_if_needed()
+        end = narrow.page.locator(f".fw-stages {last}:visible").last.bounding_box()
+        table = narrow.page.locator(".fw-stages").bounding_box()
+        assert end["x"] + end["width"] <= table["x"] + table["width"] + 1.0
+    narrow.page.screenshot(path=screenshots / "design-narrow-stages.png")
+    fold(narrow)
+
+
+@pytest.mark.parametrize(("title", "view"), [("Sweep", ".fw-sweeps canvas"), ("Tune", ".fw-tune canvas")])
+def test_on_a_narrow_page_the_curve_of_a_page_is_wide(narrow, screenshots, title, view):
+    tab(narrow, title)
+    narrow.wait_at_rest(".fw-pages")
+    narrow.page.screenshot(path=screenshots / f"design-narrow-{title}.png")
+    curve, pages = (narrow.page.locator(place).first.bounding_box() for place in (view, ".fw-pages"))
+    assert curve["width"] >= 240
+    assert curve["height"] >= 100
+    assert curve["x"] + curve["width"] <= pages["x"] + pages["width"]
+    assert curve["y"] + curve["height"] <= pages["y"] + pages["height"]
+    fold(narrow)
+
+
+def test_on_a_narrow_page_scale_and_metrics_of_compared_heads_are_whole(narrow, screenshots):
+    narrow.ask_kernel("panel.turn('weights.sigma_smooth', 0.5)\nready = panel.wait_idle(60)")
+    tab(narrow, "Compare")
+    becomes(narrow, "'<table>' in panel.compare.table.value and 'distance' in panel.compare.scale.value", "True")
+    narrow.wait_at_rest(".fw-pages")
+    narrow.page.screenshot(path=screenshots / "design-narrow-Compare.png")
+    pages = narrow.page.locator(".fw-pages").bounding_box()
+    for place in (".fw-compare th:last-child", ".fw-compare span[style*=gradient]"):
+        box = narrow.page.locator(place).bounding_box()
+        assert box["width"] > 20
+        assert box["x"] + box["width"] <= pages["x"] + pages["width"]
+    fold(narrow)
 
 
 def test_below_a_high_page_the_window_scrolls_and_strip_and_transport_are_whole(small, screenshots):

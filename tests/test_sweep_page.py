@@ -216,7 +216,7 @@ def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_ask
     page, sweep = SweepPage(session, lambda seconds: True, 170), session.sweep
 
     def seen(*asked, **options):
-        running.append(page.running)
+        running.append((page.running, page.stop.disabled))
         begun.set()
         return sweep(*asked, **options)
 
@@ -231,7 +231,9 @@ def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_ask
     assert page.wait_idle(300)
     assert page.result is not None
     assert len(page.result.values) == 3
-    assert running == [False, True]  # opening another clip asks of the second alone
+    # Opening another clip asks of the second alone, and it alone is worth a stop.
+    assert running == [(False, True), (True, False)]
+    assert page.stop.disabled
     page.close()
 
 
@@ -257,13 +259,17 @@ def test_a_stopped_sweep_keeps_what_is_known(head, clip):
     page.first.choose(found_setting(sweep_settings(CONFIG), "steady head"))
     page.first.count.value = 40
     assert not page.running
+    assert page.stop.disabled
     page.run()
+    assert not page.stop.disabled
     assert reached.wait(300)
     assert page.running
+    assert not page.stop.disabled
     page.stop.click()
     go_on.set()
     assert page.wait_idle(60)
     assert not page.running
+    assert page.stop.disabled
     assert "Stopped" in page.said.value
     assert 0 < len(page.result.values) < 40
     assert page.progress.layout.visibility == "hidden"
@@ -275,3 +281,4 @@ def test_a_configuration_that_cannot_be_swept_says_why(page):
     page.run()
     assert page.wait_idle(60)
     assert "Deep Energies renders" in page.said.value
+    assert page.stop.disabled

@@ -135,7 +135,9 @@ def test_run_shows_the_result_and_the_toggle_goes_back(panel):
     panel.go(11)
     panel.session.temporal.mark(range(10, 14))
     panel.turn("infill.method", "linear")
+    assert page.sides.disabled  # there is nothing after yet
     press(panel, page.go)
+    assert not page.sides.disabled
     assert page.side == "after", page.result.value
     assert "linear</b> 0-23, 5 filled" in page.result.value
     assert panel.fit.source == "filled"
@@ -223,14 +225,17 @@ def test_cancel_stops_a_run_and_says_so(panel, monkeypatch):
     def cancelling(*seen):
         say(*seen)
         assert page.running
+        assert not page.cancel.disabled
         told.append(seen)
         if len(told) == 2:
             page.cancel.click()
 
     monkeypatch.setattr(page, "_told", cancelling)
+    assert page.cancel.disabled
     press(panel, page.go)
     assert len(told) == 2
     assert not page.running
+    assert page.cancel.disabled
     assert panel.session.temporal.current is None
     assert "Cancelled" in page.result.value
     assert page.progress.layout.visibility == "hidden"
@@ -243,6 +248,7 @@ def test_what_was_said_of_the_settings_stays_when_the_panel_is_brought_up_to_dat
     press(panel, page.go)
     said = page.result.value
     assert "must be within 0-23" in said
+    assert page.cancel.disabled
     page.show_config()
     assert page.result.value == said
     panel.turn("refinement.sweeps", 3)
@@ -374,3 +380,15 @@ def test_a_method_keeps_its_colour_whatever_is_shown(panel):
     least = min(worked.numbers()["jitter_deg"] for worked in results.values())
     assert f"<td class='fw-best'>{least:.3f}</td>" in table
     assert failed_html(panel.session, (2, 9)) == "marked: 5"
+
+
+def test_numbers_that_only_one_method_has_are_not_the_best(panel):
+    panel.session.temporal.mark([5])
+    panel.turn("infill.method", "linear")
+    panel.session.temporal.run((2, 9))
+    results = panel.session.temporal.comparable()
+    numbers = results["linear"].numbers()
+    table = numbers_html(results, colors_of(results))
+    row = table.partition("</i>linear</td>")[2]
+    hidden, seconds = row.split("</td>")[3:5]
+    assert (hidden, seconds) == (f"<td>{numbers['hidden_percent']:.2f}", f"<td>{numbers['seconds']:.1f}")

@@ -192,13 +192,15 @@ def test_stop_ends_after_a_step_and_judges_the_best_so_far(page):
     running = []
 
     def stop_in_the_second(step):
-        running.append(page.running)
+        running.append(page.running and not page.stop.disabled)
         if step == 1:
             page.stop.click()
 
     page._session.tune = Tuning(page._session, stop_in_the_second)
+    assert page.stop.disabled
     done(page)
     assert (running, page.running) == ([True, True], False)
+    assert page.stop.disabled
     assert page.chart._series["count"] == 1
     assert page.result is not None
     assert page.progress.layout.visibility == "hidden"
@@ -216,6 +218,7 @@ def test_refused_requests_are_said_in_a_sentence(page):
     done(page)
     assert "weights.beta is above 0." in page.said.value
     assert page.take.disabled
+    assert page.stop.disabled
     for button in page.learn.values():
         button.value = False
     page.run()

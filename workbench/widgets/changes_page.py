@@ -9,6 +9,7 @@ from workbench.session import TuningSession
 from workbench.session.knobs import KNOBS
 from workbench.session.parts import parts_text
 from workbench.session.tuned_config import NOW, START
+from workbench.widgets.number_cells import column_cells
 
 COLUMNS = {
     "all_68_percent_mean": "error, %",
@@ -77,17 +78,13 @@ def comparison_html(rows: dict[str, dict[str, float]]) -> str:
     columns = [name for name in COLUMNS if any(name in numbers for numbers in rows.values())]
     if not columns:
         return ""
-    known = {name: [numbers[name] for numbers in rows.values() if name in numbers] for name in columns}
-
-    def cell(numbers: dict[str, float], name: str) -> str:
-        if name not in numbers:
-            return "<td>–</td>"
-        mark = " class='fw-best'" if numbers[name] == min(known[name]) < max(known[name]) else ""
-        return f"<td{mark}>{numbers[name]:.2f}</td>"
-
+    cells = [
+        column_cells([f"{numbers[name]:.2f}" if name in numbers else None for numbers in rows.values()])
+        for name in columns
+    ]
     head = "".join(f"<th>{COLUMNS[name]}</th>" for name in columns)
     lines = [
-        f"<tr><td>{html.escape(row)}</td>{''.join(cell(numbers, name) for name in columns)}</tr>"
-        for row, numbers in rows.items()
+        f"<tr><td>{html.escape(row)}</td>{''.join(line)}</tr>"
+        for row, line in zip(rows, zip(*cells, strict=True), strict=True)
     ]
     return f"<table><tr><th>configuration</th>{head}</tr>{''.join(lines)}</table>"

@@ -17,6 +17,8 @@ from workbench.widgets.latest import LatestWins
 from workbench.widgets.waiting import Job, Waiting
 
 SIZE = (176, 126)
+BESIDE_PX = 430
+"""Width of the table of metrics; where less is left, it stands below the heads."""
 NONE = "–"
 LEAST_SCALE_MM = 0.5
 """Smallest end of the scale of differences: less is noise."""
@@ -66,9 +68,10 @@ class ComparePage(widgets.VBox):
         self.table, self.scale = widgets.HTML(HINT), widgets.HTML()
         beside = widgets.VBox(
             [widgets.HBox([self.color, self.fit_all]), self.scale, self.table],
-            layout=widgets.Layout(flex="1 1 0", min_width="0", overflow="auto"),
+            layout=widgets.Layout(flex=f"1 1 {BESIDE_PX}px", min_width="0", overflow="auto"),
         )
-        super().__init__([widgets.HBox([*self._cells, beside])], layout=widgets.Layout(overflow="auto hidden"))
+        row = widgets.HBox([*self._cells, beside], layout=widgets.Layout(flex_flow="row wrap"))
+        super().__init__([row], layout=widgets.Layout(overflow="auto hidden"))
         self.add_class("fw-compare")
         self.refresh()
 

@@ -16,7 +16,7 @@ from workbench.session.material import Cancelled
 from workbench.widgets.controls import small_button
 from workbench.widgets.download import Download
 from workbench.widgets.export_requests import ExportRequest, ExportRequests
-from workbench.widgets.status_line import error_text
+from workbench.widgets.status_line import StatusLine, error_text
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,10 @@ class ExportBar:
     ) -> None:
         self._session = session
         self._taken = Path()
+        self._unread: Path | None = None
+        """The file that could not be loaded last."""
+        self._wrong = False
+        """Whether what is said is an error."""
         self.file = widgets.Text(
             "tuned.toml", tooltip="file for the configuration", continuous_update=False,
             layout=widgets.Layout(width="150px"),
@@ -49,7 +53,9 @@ class ExportBar:
         self._requests = ExportRequests(self._write, later, self._say, self.stop)
         self.cancel = self._requests.cancel
         self.download = Download(download)
-        self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        self.exported = StatusLine(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        self._known = self.path
+        """The file that was loaded or saved last, or at first the one that is offered."""
         self.widgets = (self.file, self.export, self.load, self.overwrite, self.download, self.exported)
 
     @property
@@ -57,6 +63,11 @@ class ExportBar:
         """The file that is named, with its suffix."""
         path = typed_path(self.file.value.strip() or "tuned.toml")
         return path if path.suffix == ".toml" else path.parent / f"{path.name}.toml"
+
+    @property
+    def named(self) -> Path:
+        """The file that commands name: not one that could not be loaded, unless settings were saved there since."""
+        return self._known if self.path == self._unread else self.path
 
     @property
     def busy(self) -> bool:
@@ -69,6 +80,11 @@ class ExportBar:
             names = ", ".join(request.path.name for request in waiting)
             self._say(f"Cancelled; {names} {'was' if len(waiting) == 1 else 'were'} not written.")
         elif self.busy:
+            self._say("")
+
+    def forget(self) -> None:
+        """Say nothing any more of what failed."""
+        if self._wrong:
             self._say("")
 
     def _on_export(self) -> None:
@@ -99,8 +115,9 @@ class ExportBar:
         try:
             check_writable(path)
         except OutputError as error:
-            self._say(error_text(error))
+            self._say(error_text(error), wrong=True)
             return
+        self._known, self._unread = path, None
         self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
 
     def _on_load(self) -> None:
@@ -109,14 +126,20 @@ class ExportBar:
         try:
             self._session.load(path)
         except WorkbenchError as error:
-            self._say(error_text(error))
+            self._unread = path
+            self._say(error_text(error), wrong=True)
         else:
+            self._known, self._unread = path, None
             self._say(f"now using {path.name}; undo brings back the settings before it")
 
-    def _say(self, text: str) -> None:
-        """Show a text in place of what was written last."""
+    def _say(self, text: str, wrong: bool = False) -> None:
+        """Show a text in place of what was written last; `wrong`: in red."""
         self.download.offer(None)
-        self.exported.value = html.escape(text)
+        self._wrong = wrong
+        if wrong:
+            self.exported.say(text, wrong)
+        else:
+            self.exported.value = html.escape(text)
 
     def _write(self, request: SettingsRequest, cancelled: Cancelled) -> None:
         """Work, in the thread for slow jobs."""

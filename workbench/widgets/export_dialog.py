@@ -23,8 +23,11 @@ class ExportDialog:
         self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
     ) -> None:
         self.settings = ExportBar(session, later, download)
-        self.performance = PerformanceExport(session, later, lambda: self.settings.path, download)
+        self.performance = PerformanceExport(session, later, lambda: self.settings.named, download)
         self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
+        for button in (self.settings.export, self.settings.load, self.settings.overwrite):
+            button.on_click(lambda _button: self._on_settings())
+        self.performance.go.on_click(lambda _button: self.settings.forget())
         self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
                                  "primary")  # fmt: skip
         self.open.on_click(lambda _button: self.fold())
@@ -57,6 +60,11 @@ class ExportDialog:
         if folded:
             self.performance.show_options()
         self.widget.layout.display = None if folded else "none"
+
+    def _on_settings(self) -> None:
+        """Settings were loaded or saved, or could not be."""
+        self.performance.forget()
+        self.performance.show_command()
 
     def stop(self) -> None:
         """Stop what is being written."""

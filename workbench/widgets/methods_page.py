@@ -10,6 +10,7 @@ from workbench.session import TuningSession
 from workbench.session.curves import ANGLES, PLACES, curve, moving_weights
 from workbench.session.worked import AS_FITTED, Worked
 from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView, gaps
+from workbench.widgets.number_cells import column_cells
 from workbench.widgets.time_part import BEFORE
 
 ONE_LEGEND = "<style>.fw-methods .fw-chart .fw-top { display: none; }</style>"
@@ -124,26 +125,20 @@ def numbers_html(results: dict[str, Worked], colors: dict[str, str]) -> str:
             "<i>run</i> a method, or <i>compare all</i>.</span>"
         )
 
-    def cell(numbers: dict[str, float], name: str, form: str) -> str:
-        if name not in numbers:
-            return "<td>–</td>"
-        mark = " class='fw-best'" if numbers[name] == best.get(name) else ""
-        return f"<td{mark}>{format(numbers[name], form)}</td>"
-
     before = next(iter(results.values()))
     fitted = Worked(AS_FITTED, before.config, before.part, before.before, before.before, 0.0).numbers()
     fitted.pop("seconds")
     every = {AS_FITTED: fitted} | {name: worked.numbers() for name, worked in results.items()}
-    best = {
-        column: min(numbers[column] for numbers in every.values() if column in numbers)
-        for column in RANKED
-        if any(column in numbers for numbers in every.values())
-    }
+    columns = [
+        column_cells(
+            [format(numbers[name], form) if name in numbers else None for numbers in every.values()], name in RANKED
+        )
+        for name, form in COLUMNS
+    ]
     rows = []
-    for name, numbers in every.items():
+    for name, cells in zip(every, zip(*columns, strict=True), strict=True):
         color = colors.get(BEFORE if name == AS_FITTED else name, INK)
         line = LINE.format("currentColor" if color == INK else color)
-        cells = [cell(numbers, *column) for column in COLUMNS]
         rows.append(f"<tr><td>{line}{html.escape(name)}</td>{''.join(cells)}</tr>")
     head = (
         "<tr><th>method</th><th>filled</th><th title='mean second difference of the rotation'>jitter, °</th>"

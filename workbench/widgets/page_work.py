@@ -2,22 +2,22 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Generic
 
 import ipywidgets as widgets
 
 from workbench.widgets.controls import small_button
-from workbench.widgets.latest import LatestWins
+from workbench.widgets.latest import Request
 from workbench.widgets.status_line import StatusLine
-
-Request = TypeVar("Request")
+from workbench.widgets.stoppable import Stoppable
 
 GIVE_WAY_S = 2.0
 """Longest wait for what the rest of the panel computes, between two parts of the work."""
 
 
 class PageWork(Generic[Request]):
-    """Runs `work(request)`, the latest request alone; the button `stop` ends it, and the bar `progress` tells of it.
+    """Runs `work(request)`, the latest request alone; the bar `progress` tells of it, and the button `stop` ends what
+    was asked for by `ask`; what is only submitted is not worth a stop.
 
     `give_way` waits up to some seconds until the panel's own work is done. Errors are said in `said`, and `stopped`
     once the work has stopped.
@@ -33,12 +33,12 @@ class PageWork(Generic[Request]):
         stopped: str = "",
     ) -> None:
         self._work, self._said, self._give_way, self._stopped = work, said, give_way, stopped
-        self._worker: LatestWins[Request | None] = LatestWins(self._serve, said.failed, name)
-        self.submit, self.wait_idle, self.close = self._worker.submit, self._worker.wait_idle, self._worker.close
+        self.stop = small_button("stop", stop_tip)
+        self._worker: Stoppable[Request | None] = Stoppable(self._serve, said.failed, name, self.stop, None)
+        self.ask, self.submit = self._worker.ask, self._worker.submit
+        self.wait_idle, self.close = self._worker.wait_idle, self._worker.close
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="2px 0"))
         self.progress.layout.visibility = "hidden"
-        self.stop = small_button("stop", stop_tip)
-        self.stop.on_click(lambda _button: self.submit(None))
         self.running = False
         """Whether work runs that is `shown`: it was asked for, and would be lost."""
 

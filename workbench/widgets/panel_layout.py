@@ -9,6 +9,8 @@ CONTROLS_PX = 276
 OTHERS_PX = 130
 """Height of what a notebook shows around a panel that is as high as the window."""
 LOWEST_PX = 540
+LEAST_VIEW_PX = 240
+"""Width below which a curve says little."""
 ARROW = (
     "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 20 20'%3E"
     "%3Cpath d='M6 8.2 10 12.2 14 8.2' fill='none' stroke='%23ddd' stroke-width='1.8'/%3E%3C/svg%3E"
@@ -87,6 +89,9 @@ FW_AT
 
 /* narrow, as where the browser zooms to 125 %: rows go on below; at 200 %: first the views, then the settings */
 .fw-panel.fw-whole { container: fw-panel / inline-size; }
+@container fw-panel (max-width: 900px) {
+  .fw-pages .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 4px !important; }
+}
 @container fw-panel (max-width: 800px) {
   .fw-photo .widget-hbox, .fw-head .widget-hbox, .fw-transport { flex-wrap: wrap; height: auto; }
   .fw-photo .fw-group { flex: 0 1 auto !important; min-width: 0; }
@@ -167,12 +172,19 @@ def one_row() -> widgets.Layout:
     return widgets.Layout(align_items="center", flex="0 0 auto", width="auto")
 
 
-def beside(rows: Sequence[widgets.Widget], width_px: int, view: widgets.Widget) -> list[widgets.Widget]:
-    """Rows of controls of a fixed width, and a view that takes what is left."""
-    return [
-        widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {width_px}px", overflow="hidden auto")),
-        widgets.VBox([view], layout=widgets.Layout(flex="1 1 0", min_width="0", margin="0 0 0 12px")),
-    ]
+class Beside(widgets.HBox):
+    """Rows of controls, and a view that takes what is left of the width, or all of it below them if that is little."""
+
+    def __init__(self, rows: Sequence[widgets.Widget], width_px: int, view: widgets.Widget, height_px: int) -> None:
+        """`width_px` is that of the controls, which scroll where they are higher than `height_px`."""
+        controls = widgets.Layout(
+            flex=f"0 1 {width_px}px", max_height=f"{height_px}px", margin="0 12px 0 0", overflow="hidden auto"
+        )
+        left = widgets.Layout(flex=f"1 1 {LEAST_VIEW_PX}px", min_width="0")
+        super().__init__(
+            [widgets.VBox(rows, layout=controls), widgets.VBox([view], layout=left)],
+            layout=widgets.Layout(flex_flow="row wrap", min_height=f"{height_px}px"),
+        )
 
 
 def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:

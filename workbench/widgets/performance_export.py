@@ -102,6 +102,12 @@ class PerformanceExport:
         for request in self._requests.drop():
             self._end(_cancelled_text(request))
 
+    def forget(self) -> None:
+        """Say nothing any more of what failed, unless something is being written."""
+        if self._wrong and not self.busy:
+            self._ended, self._wrong = [], False
+            self._say()
+
     def show_options(self) -> None:
         """Show the options that the format has, and the command."""
         self._follow_character()

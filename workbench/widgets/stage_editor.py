@@ -34,7 +34,7 @@ class StageRow:
         self._landmarks: dict[str, float] = {}
         """The weights as they were shown; their text holds six digits of each."""
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_growing("124px", "180px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_growing("146px", "180px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in LETTERS.items()
@@ -67,7 +67,7 @@ class StageRow:
         self.widget = widgets.HBox([
             self.enabled, self.name, *self.free.values(), self.landmarks, self.terms, self.limit, self.when,
             *self.buttons.values(), self.result,
-        ], layout=widgets.Layout(flex="0 0 auto"))  # fmt: skip
+        ], layout=_whole())  # fmt: skip
 
     def show(self, stage: Stage, blocks: Collection[str]) -> None:
         """Show a stage without calling back, with toggles for the parameters that its system can free."""
@@ -123,7 +123,7 @@ class StageEditor:
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
             button.on_click(lambda _button, what=what: self._run(what, -1))
-        self._header = widgets.HBox(layout=widgets.Layout(flex="0 0 auto"))
+        self._header = widgets.HBox(layout=_whole())
         self._bar = widgets.HBox(
             [self.all, self.back, self.step, self.place, self.add], layout=widgets.Layout(flex="0 0 auto")
         )
@@ -195,11 +195,16 @@ def _fixed(width: str) -> widgets.Layout:
 
 def _growing(width: str, most: str) -> widgets.Layout:
     """Layout of a field that grows on a wide page."""
-    return widgets.Layout(width=width, flex=f"1 1 {width}", max_width=most)
+    return widgets.Layout(width=width, flex=f"1 0 {width}", max_width=most)
+
+
+def _whole() -> widgets.Layout:
+    """Layout of a row that is never cut: on a narrow page, the table scrolls sideways with its titles."""
+    return widgets.Layout(flex="0 0 auto", min_width="max-content")
 
 
 def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
-    """A title above each part of a row, equally wide, so that both shrink together on a narrow page."""
+    """A title above each part of a row, equally wide, so that both grow together on a wide page."""
     titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks",
               row.terms: "terms", row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
     return tuple(

@@ -16,7 +16,7 @@ from workbench.sweeps import Point, SweepResult, config_at
 from workbench.sweeps.space import shown
 from workbench.widgets.controls import small_button
 from workbench.widgets.page_work import PageWork
-from workbench.widgets.panel_layout import beside, classed, one_row
+from workbench.widgets.panel_layout import Beside, classed, wrapped
 from workbench.widgets.setting_range import SettingRange
 from workbench.widgets.status_line import StatusLine
 from workbench.widgets.sweep_view import SweepView
@@ -39,7 +39,7 @@ class Asked:
     frames: int
 
 
-class SweepPage(widgets.HBox):
+class SweepPage(Beside):
     """The page of sweeps. `give_way` waits up to some seconds until the panel's own work is done.
 
     Points are computed in a thread of their own, a few at a time; the latest request counts.
@@ -66,15 +66,15 @@ class SweepPage(widgets.HBox):
         self.view.on_pick(self.take)
         self._build_controls()
         rows = [
-            *(widgets.HBox([*choice.widgets, widgets.Label("values")], layout=one_row()) for choice in self._choices),
+            *(widgets.HBox([*choice.widgets, widgets.Label("values")], layout=wrapped()) for choice in self._choices),
             widgets.HBox(
                 [widgets.Label("measure"), self.objective, widgets.Label("on"), self.frames, widgets.Label("frames"),
                  self.go, self.stop],
-                layout=one_row(),
+                layout=wrapped(),
             ),
             self.meaning, self.progress, self.said, self.note,
         ]  # fmt: skip
-        super().__init__(beside(rows, CONTROLS_PX, self.view), layout=widgets.Layout(height=f"{height_px}px"))
+        super().__init__(rows, CONTROLS_PX, self.view, height_px)
         classed(self, "fw-sweeps")
         self.show_config()
         self._explain()
@@ -188,7 +188,7 @@ class SweepPage(widgets.HBox):
             raise ConfigError("Choose a setting first: type words such as steady, lens or jaw.")
         names = tuple(choice.setting.words for choice, _ in chosen)
         self._warmed = True  # what a sweep needs, the first one compiles; warming up would take its place
-        self._jobs.submit(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
+        self._jobs.ask(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
 
     def _take(self, number: int) -> None:
         point = self.result.points[number]

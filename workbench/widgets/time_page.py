@@ -15,9 +15,9 @@ from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.controls import small_button
 from workbench.widgets.failed_frames import FailedFrames
 from workbench.widgets.knob_control import KnobControl, Turned
-from workbench.widgets.latest import LatestWins
 from workbench.widgets.methods_page import Methods
 from workbench.widgets.status_line import LineAbout
+from workbench.widgets.stoppable import Stoppable
 from workbench.widgets.time_part import AFTER, BEFORE, TimePart
 
 DEEP_FRAMES = 24
@@ -64,7 +64,8 @@ class TimePage:
             return
         self.methods = Methods(session, go)
         self.result = LineAbout(self._shown_now)
-        self._worker: LatestWins[str] = LatestWins(self._work, self.result.failed, "panel-time")
+        self.cancel = small_button("cancel", "stop; finished results are kept")
+        self._worker: Stoppable[str] = Stoppable(self._work, self.result.failed, "panel-time", self.cancel, "cancel")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         views.timeline.observe(self._on_part, "loop")
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
@@ -87,7 +88,7 @@ class TimePage:
     def run(self, what: str = "run") -> None:
         """Request `run`, `compare`, `flagged` or `cancel`."""
         if self._worker is not None:
-            self._worker.submit(what)
+            (self._worker.submit if what == "cancel" else self._worker.ask)(what)
 
     def fill(self) -> None:
         """Mark the shown frame as failed and fill it and those marked before; one undo step.
@@ -157,6 +158,7 @@ class TimePage:
         _, part, worked = self._shown_now()
         if not self._busy:
             self.result.show(result_html(worked))
+        self.sides.disabled = worked is None
         self.sides.tooltips = [
             "the single-frame fits",
             "after infill and refinement" if worked else "not run with these settings yet",
@@ -170,8 +172,6 @@ class TimePage:
         self.go.on_click(lambda _button: self.run("run"))
         self.compare = small_button("compare all", "run every method and keep the results; see the page Methods")
         self.compare.on_click(lambda _button: self.run("compare"))
-        self.cancel = small_button("cancel", "stop; finished results are kept")
-        self.cancel.on_click(lambda _button: self.run("cancel"))
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="0"))
         self.progress.layout.visibility = "hidden"
         self.note = widgets.HTML()

@@ -25,7 +25,7 @@ from workbench.tracking import FrameObservation
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.page_work import PageWork
-from workbench.widgets.panel_layout import beside, classed, one_row, wrapped
+from workbench.widgets.panel_layout import Beside, classed, one_row, wrapped
 from workbench.widgets.status_line import StatusLine
 
 OBJECTIVES = ("left-out-parts", "left-out-points", "left-out-frames", "jitter + error", "error", "jitter")
@@ -50,7 +50,7 @@ class Asked:
     steps: int
 
 
-class TunePage(widgets.HBox):
+class TunePage(Beside):
     """The page of tuning. `give_way` waits up to some seconds until the panel's own work is done."""
 
     def __init__(self, session: TuningSession, give_way: Callable[[float], object], height_px: int) -> None:
@@ -75,7 +75,7 @@ class TunePage(widgets.HBox):
             ),
             self.progress, self.said,
         ]  # fmt: skip
-        super().__init__(beside(rows, CONTROLS_PX, self.chart), layout=widgets.Layout(height=f"{height_px}px"))
+        super().__init__(rows, CONTROLS_PX, self.chart, height_px)
         self.add_class("fw-tune")
         self._explain()
         self.show_config()
@@ -157,7 +157,7 @@ class TunePage(widgets.HBox):
         check_faces(self._session.material.observations, parts)
         # What it means is known by now, and its lines are those that the result needs to be seen whole.
         self.words.layout.display = "none"
-        self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
+        self._jobs.ask(Asked(self.objective.value, learn, parts, self.steps.value))
 
     def _take(self) -> None:
         changes = learned_changes(self.result)
