@@ -19,7 +19,7 @@ import pytest
 
 import workbench
 from tests.scenes import make_scene
-from tests.test_nothing_lost import small_disk
+from tests.small_disk import small_disk
 from workbench import cli
 from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config, write_config

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
-from tests.test_nothing_lost import small_disk
+from tests.small_disk import small_disk
 from workbench.errors import InputError, MissingDependencyError, OutputError
 from workbench.export import export_track, make_clip
 from workbench.export.meshes import write_arrays, write_meshes

@@ -139,7 +139,7 @@ def test_the_interval_of_a_change_holds_it():
 def test_a_change_that_is_not_known_is_said_in_words():
     for before, after in ((np.zeros(5), np.ones(5)), (np.full(5, np.nan), np.ones(5))):
         assert str(change_of(before, after)).startswith("unknown, because no frame has a value before and after, or")
-    assert str(change_of(np.ones(4), np.full(4, 1.1))) == "+10.0 % (too few frames to say how surely)"
+    assert str(change_of(np.ones(4), np.full(4, 1.1))) == "+10.0 % (too few frames for an interval)"
     rarely = np.array([1.0, *np.zeros(60)])
     assert np.isfinite(change_of(rarely, rarely)).all()
 

@@ -2,11 +2,10 @@
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 
 from tests.killed_runs import FRAMES, StubModel, StubTracker, make_fit
 from tests.performances import performance
+from tests.small_disk import small_disk
 from tests.stereo_scenes import make_rig
 from tests.test_pipeline import NoFaces
 from workbench.cli.training import training_folder
@@ -29,6 +29,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.networks.weights import write_weights
 from workbench.pipeline import track
 from workbench.pipeline.output_folder import locked
+from workbench.pipeline.runs import _telling_what_is_kept
 from workbench.samples import sample
 from workbench.session.recording import Recording
 from workbench.tracking.track_writer import FINGERPRINT, TrackWriter
@@ -502,17 +503,6 @@ class TestTwoRunsInOneFolder:
         assert not (tmp_path / "a").exists()
 
 
-@contextmanager
-def small_disk(most_bytes):
-    """No file can grow above this: the system's answer is that of a full disk in another word."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 IN_THE_WAY = {
     "a file": (lambda home: (home / "out").write_text("mine"), "out", "a file is in the way"),
     "below a file": (lambda home: (home / "file").write_text("mine"), "file/out", "a file is in the way"),
@@ -618,13 +608,24 @@ class TestPlacesThatCannotBeWritten:
             path.name for path in (tmp_path / "whole").iterdir()
         }
 
-    def test_the_command_line_says_that_finished_parts_are_kept(self, run, quick, points, tmp_path, monkeypatch):
+    @pytest.mark.parametrize(
+        ("left", "kept"), [("fingerprint", False), (".000000.partial-1.npz", False), ("000000.npz", True)]
+    )
+    def test_an_error_says_that_finished_parts_are_kept_where_there_are_any(self, tmp_path, left, kept):
+        parts = tmp_path / "track.npz.parts"
+        parts.mkdir()
+        (parts / left).touch()
+        with pytest.raises(OutputError) as told, _telling_what_is_kept(tmp_path):
+            raise OutputError("x cannot be written.")
+        assert ("the run can be resumed (--resume)" in str(told.value)) is kept
+
+    def test_on_a_full_disk_the_command_line_promises_no_parts(self, run, quick, points, tmp_path, monkeypatch):
         monkeypatch.setattr("workbench.cli.tracking.face_model", lambda path: StubModel())
         with small_disk(3_000):
             code, _, err = run("track", "points.csv", "--no-pictures")
         assert code == 2
         assert "cannot be written" in err
-        assert "the run can be resumed (--resume)" in err
+        assert "--resume" not in err
         assert "Traceback" not in err
 
 

@@ -313,7 +313,7 @@ def test_every_row_says_what_it_cannot_see_and_has_a_function():
 
 
 @pytest.mark.parametrize("frames", [8, 12, 20, 40, 100])
-def test_an_interval_holds_the_true_mean_as_often_as_it_says_in_short_clips_too(frames):
+def test_an_interval_of_independent_frames_mostly_holds_the_true_mean_in_short_clips_too(frames):
     rng = np.random.default_rng(frames)
     ends = [interval_of(drawn_means(rng.normal(size=(1, frames)), trial, draws=300)[:, 0]) for trial in range(300)]
     assert np.mean([low < 0.0 < high for low, high in ends]) > 0.82

@@ -502,6 +502,14 @@ def test_the_folder_of_a_run_without_its_track_says_that_it_is_missing(tmp_path)
         open_session(tmp_path)
 
 
+def test_the_picture_that_a_run_drew_is_no_photo(tmp_path):
+    for name in ("config.toml", "summary.json"):
+        (tmp_path / name).write_text("")
+    shutil.copy(sample("astronaut"), tmp_path / "overlay.png")
+    with pytest.raises(InputError, match=r"The track .*track\.npz does not exist"):
+        open_session(tmp_path)
+
+
 def test_photos_beside_another_array_of_that_name_are_photos(tmp_path):
     shutil.copy(sample("astronaut"), tmp_path)
     np.savez(tmp_path / "track.npz", points=np.zeros(3))
@@ -688,6 +696,22 @@ def test_a_fit_in_a_long_clip_does_not_go_through_all_of_it(head, clip):
     session.fit_frame(200)
     needed = {*range(QUICK.identity.window), 200}
     assert len(material.observations.looked - needed) < 20  # run-time checks of types look at one more here and there
+
+
+def test_the_track_of_a_session_says_what_it_was_made_of(head, tmp_path):
+    session = open_session(sample("performance-landmarks"), QUICK)
+    assert session.track.meta == performance_track(session).meta
+    session.track.save(tmp_path / "mine.npz")
+    again = open_session(tmp_path / "mine.npz")
+    assert again.material.landmark_file == session.material.landmark_file
+    assert again.material.rate == session.material.rate
+
+
+@pytest.mark.parametrize("name", ["talk.glb", "talk.usda", "talk.arkit.csv", "TALK.MP4"])
+def test_settings_are_not_written_under_the_name_of_an_animation(session, tmp_path, name):
+    with pytest.raises(InputError, match=r"The settings are TOML, .*export_track\(session\.track"):
+        session.export(tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_is_stacked_once_for_all_that_is_shown_of_it(head, clip, monkeypatch):

@@ -14,8 +14,8 @@ from matplotlib import image
 
 from tests.landmark_layouts import dlib_box, dlib_xml
 from tests.short_clips import observations, write_clip
+from tests.small_disk import small_disk
 from tests.stereo_scenes import make_rig
-from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import FrameRange, open_frames, write_picture

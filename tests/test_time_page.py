@@ -151,6 +151,19 @@ def test_run_shows_the_result_and_the_toggle_goes_back(panel):
     assert not np.array_equal(panel.fit.expression, filled[1])
 
 
+def test_who_looks_at_the_result_can_go_back_when_a_setting_makes_it_out_of_date(panel):
+    page = panel.time
+    panel.turn("refinement.method", "averaging")
+    press(panel, page.go)
+    assert page.side == "after"
+    panel.turn("refinement.method", "self")
+    assert not page.sides.disabled
+    page.sides.value = "before"
+    panel.turn("refinement.method", "plate")
+    assert panel.wait_idle(60)
+    assert page.sides.disabled
+
+
 def test_playing_goes_through_the_frames_of_the_chosen_side(panel):
     page = panel.time
     panel.turn("refinement.method", "averaging")

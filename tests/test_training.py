@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from tests.dotted_pool import write_dotted_pool, write_window
-from tests.test_nothing_lost import small_disk
+from tests.small_disk import small_disk
 from workbench.cli.training import RESULTS, Network
 from workbench.errors import InputError, OutputError
 from workbench.face import load_default_head

@@ -135,7 +135,7 @@ def test_parts_in_which_faces_are_missing_are_named_as_they_are_typed(head, mate
     page = TunePage(session, lambda seconds: True, 170)
     assert not page.go.disabled
     done(page)
-    assert "The first half of the held-out frames, 16-27, have no 12 in a row with a face" in page.said.value
+    assert "The first half of the held-out frames, 16-27, have no run of 12 with a face" in page.said.value
     page.held_out.value = "16-40"
     done(page)
     assert "The clip has frames 0-39; choose within them." in page.said.value

@@ -315,7 +315,7 @@ class TestASearchBeforeAGradient:
         clip = SweptClip("clip", "digest", tuple(observations(range(36), gaps=range(12, 24))), False)
         parts = Parts(train=range(12), watch=range(12, 24), held_out=range(24, 36))
         wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), (read_axis(AXIS),))
-        with pytest.raises(InputError, match=r"choose the step, 12:24, have no 12 in a row with a face.*--watch"):
+        with pytest.raises(InputError, match=r"choose the step, 12:24, have no run of 12 with a face.*--watch"):
             tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place)
         assert not asked
         assert self.place.with_suffix(".learning.json").exists()

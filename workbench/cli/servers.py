@@ -33,13 +33,13 @@ APP_PAGE = Path(__file__).resolve().parent / "app_page"
 """Voilà's settings (voila.json) and the page's template.
 
 This machine only, a token, and neither files of the folder nor anything from other hosts (the Content-Security-Policy,
-whatever a later Voilà links to). Tornado only tells errors: it warns of Jupyter's pings, whose times it takes for its
-own; shorter ones would end connections. Without `disable_check_xsrf` a page that is left could not end its Python
+whatever a later Voilà links to). Tornado logs errors only: it would warn about the times of Jupyter's pings, which must
+not be shorter, or connections would drop. Without `disable_check_xsrf` a page that is left could not end its Python
 process: Voilà sends no token with that request. Its origin is checked all the same. Processes whose page vanished end
 after ten minutes.
 """
 LAB_SETTINGS = Path(__file__).resolve().parent / "lab_settings"
-"""A default under the user's own settings: JupyterLab does not ask over the first notebook whether to fetch news."""
+"""A default below what the user chose in JupyterLab: it does not ask over the first notebook whether to fetch news."""
 LOCALHOST = "127.0.0.1"
 PROMPT = "workbench.widgets.prompt_channels.PromptChannels"
 """How both servers hand a kernel's messages to the browser: at once. By name, because only they import it."""

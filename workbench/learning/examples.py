@@ -69,7 +69,7 @@ def stretches_in(clip: SweptClip, frames: range, part: str) -> list[range]:
     if not found:
         what, remedy = PARTS_IN_WORDS[part]
         where = f"{frames.start}:{frames.stop}"
-        raise InputError(f"{what}, {where}, have no {LENGTH} in a row with a face and without a cut; {remedy}.")
+        raise InputError(f"{what}, {where}, have no run of {LENGTH} with a face and without a cut; {remedy}.")
     return found
 
 

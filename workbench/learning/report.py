@@ -20,7 +20,7 @@ class Change(NamedTuple):
         if np.isnan(self.percent):
             return "unknown, because no frame has a value before and after, or the mean before is 0"
         if np.isnan(self.low):
-            return f"{self.percent:+.1f} % (too few frames to say how surely)"
+            return f"{self.percent:+.1f} % (too few frames for an interval)"
         return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
 
 

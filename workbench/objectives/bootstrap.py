@@ -5,8 +5,8 @@ from jaxtyping import Bool, Float
 
 LONGEST_RUN = 10
 """Frames that a draw takes in a row: neighbours are alike, and one by one would make intervals too narrow."""
-FEWEST_RUNS = 8
-"""A draw joins at least so many runs, as long as there are as many frames: of few runs the draws are too much alike."""
+FEWEST_RUNS = 5
+"""A draw joins at least this many runs: draws of only a few are too much alike."""
 FEWEST_FRAMES = 5
 """With fewer, nothing is known of how sure a mean is."""
 DRAWS = 2000

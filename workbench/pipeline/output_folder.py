@@ -110,7 +110,7 @@ def _holds_parts(folder: Path) -> bool:
 
 def keeps_frames(folder: Path) -> bool:
     """Whether an interrupted run left frames in a folder that `resume` continues after."""
-    return any(path.name != FINGERPRINT for name in PARTS for path in (folder / name).glob("*"))
+    return any(path.name != FINGERPRINT for name in PARTS for path in (folder / name).glob("[!.]*"))
 
 
 def _check_free(folder: Path, resume: bool, overwrite: bool, resumable: bool) -> None:

@@ -229,17 +229,18 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool, watched: Watched
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
     writer = TrackWriter(job.fits_path, meta, _begun_as(job.fits_path, meta), job.resume, watched.check)
-    began, already, strips = time.perf_counter(), len(writer), []
+    already, strips = len(writer), []
     deep = config.traits.renders
     told, files = [], ()
     with ExitStack() as stack:
-        drawn = None
+        workers, drawn = stack.enter_context(working(job.workers)), None
+        workers.results(())  # those that start with their first tasks do so now: the time of a run is that of its fits
+        began = time.perf_counter()
         if stills and job.pictures:
             drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder, dressed))
             drawn.add_missing(writer)
         try:
             if deep:
-                workers = stack.enter_context(working(job.workers))
                 strips = track_deep_frames(source, tracker, writer, stills, workers, progress, drawn)
             else:
                 _track_frames(source, tracker, writer, stills, progress, drawn)

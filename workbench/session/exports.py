@@ -8,7 +8,7 @@ from pathlib import Path
 
 from workbench.config import Config, Hashed, differences, read_config, write_config
 from workbench.errors import InputError, WorkbenchError
-from workbench.export import FORMATS
+from workbench.export.suffixes import FORMATS, SAME
 from workbench.face import FaceModel
 from workbench.pipeline import software_versions
 from workbench.reading import content_hash
@@ -38,10 +38,10 @@ class Exports:
     def check(self, path: Path, overwrite: bool) -> None:
         """Raises `TakenError` if the file exists, unless it is as written here or `overwrite` is set; `InputError` for
         the name of an animation."""
-        if path.suffix.lower() in FORMATS:
+        if path.suffix.lower() in (*FORMATS, *SAME):
             raise InputError(
                 f"The settings are TOML, so name them {path.with_suffix('.toml').name}; the animation is written by "
-                f"workbench.export_track(session.track, session.model, {path.name!r})."
+                f"workbench.export_track(session.track, session.model, {str(path)!r})."
             )
         if not overwrite and not self.may_write(path):
             raise TakenError(taken_text(path, self._material.name))

@@ -422,7 +422,7 @@ def _forget_later_rows(path: Path, step: int) -> None:
     """
     if not path.is_file():
         return
-    with reading(path, "the curves of a training", "delete it; the training goes on without what it told"):
+    with reading(path, "the curves of a training", "delete it; the training continues without the earlier curves"):
         lines = path.read_bytes().decode(errors="replace").splitlines()
     names, *rows = [line.split(",") for line in lines] or [[""]]
     if names[0] != STEP or UNREADABLE in "".join(names):

@@ -69,7 +69,7 @@ class ClipViews:
 
     def show_run(self) -> None:
         """Show the last run."""
-        track = self._session.track
+        track = self._session.run.track
         self._values = track.residuals_percent
         flags = self._session.run.flags
         self.timeline.set_track(
@@ -86,8 +86,8 @@ class ClipViews:
     def _show_weights(self) -> None:
         if self._session.run is None:
             return
-        track, family = self._session.track, self.choice.value
-        frames, names = np.arange(len(track), dtype=float), track.expression_names
+        track, family = self._session.run.track, self.choice.value
+        frames, names = np.arange(len(track), dtype=float), self._session.model.expression_names
         motion = np.nan_to_num(np.nanstd(track.expression, axis=0)) if track.found.any() else np.zeros(len(names))
         most = [k for k in np.argsort(-motion, kind="stable") if names[k].startswith(family)][:CURVES]
         self.weights.set_series(

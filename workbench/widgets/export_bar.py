@@ -35,8 +35,8 @@ class ExportBar:
     ) -> None:
         self._session = session
         self._taken = Path()
-        self._unread: Path | None = None
-        """The file that could not be loaded last."""
+        self._unread: set[Path] = set()
+        """Files that could not be loaded."""
         self._wrong = False
         """Whether what is said is an error."""
         self.file = widgets.Text(
@@ -67,7 +67,7 @@ class ExportBar:
     @property
     def named(self) -> Path:
         """The file that commands name: not one that could not be loaded, unless settings were saved there since."""
-        return self._known if self.path == self._unread else self.path
+        return self._known if self.path in self._unread else self.path
 
     @property
     def busy(self) -> bool:
@@ -117,7 +117,6 @@ class ExportBar:
         except OutputError as error:
             self._say(error_text(error), wrong=True)
             return
-        self._known, self._unread = path, None
         self._requests.submit(SettingsRequest(path, self._session.config, overwrite))
 
     def _on_load(self) -> None:
@@ -126,11 +125,16 @@ class ExportBar:
         try:
             self._session.load(path)
         except WorkbenchError as error:
-            self._unread = path
+            self._unread.add(path)
             self._say(error_text(error), wrong=True)
         else:
-            self._known, self._unread = path, None
+            self._holds_settings(path)
             self._say(f"now using {path.name}; undo brings back the settings before it")
+
+    def _holds_settings(self, path: Path) -> None:
+        """Commands may name a file: it was loaded or saved."""
+        self._known = path
+        self._unread.discard(path)
 
     def _say(self, text: str, wrong: bool = False) -> None:
         """Show a text in place of what was written last; `wrong`: in red."""
@@ -154,6 +158,7 @@ class ExportBar:
         except TakenError:
             self._offer(path)
             return
+        self._holds_settings(path)
         self.download.offer(path)
         command = html.escape(self._session.command(path, config))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"

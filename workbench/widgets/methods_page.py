@@ -141,7 +141,8 @@ def numbers_html(results: dict[str, Worked], colors: dict[str, str]) -> str:
         line = LINE.format("currentColor" if color == INK else color)
         rows.append(f"<tr><td>{line}{html.escape(name)}</td>{''.join(cells)}</tr>")
     head = (
-        "<tr><th>method</th><th>filled</th><th title='mean second difference of the rotation'>jitter, °</th>"
+        "<tr><th>method</th><th>filled</th>"
+        "<th title='mean change from one turn of the head to the next'>jitter, °</th>"
         "<th title='landmark error without filled frames'>error, %</th>"
         "<th title='error of filled frames to landmarks that infill did not use'>error of filled, %</th>"
         "<th>seconds</th></tr>"

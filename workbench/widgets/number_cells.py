@@ -11,6 +11,10 @@ def column_cells(texts: Sequence[str | None], ranked: bool = True) -> list[str]:
 
     Where less is better (`ranked`), the least is marked, unless all look the same or there is only one.
     """
-    different = sorted({text for text in texts if text is not None and not math.isnan(float(text))}, key=float)
-    best = different[0] if ranked and len(different) > 1 else None
-    return ["<td>–</td>" if text is None else f"<td{BEST if text == best else ''}>{text}</td>" for text in texts]
+    numbers = [math.nan if text is None else float(text) for text in texts]
+    different = {number for number in numbers if not math.isnan(number)}
+    best = min(different) if ranked and len(different) > 1 else None
+    return [
+        "<td>–</td>" if text is None else f"<td{BEST if number == best else ''}>{text}</td>"
+        for text, number in zip(texts, numbers, strict=True)
+    ]

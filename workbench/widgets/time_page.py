@@ -158,7 +158,7 @@ class TimePage:
         _, part, worked = self._shown_now()
         if not self._busy:
             self.result.show(result_html(worked))
-        self.sides.disabled = worked is None
+        self.sides.disabled = worked is None and self.side == BEFORE
         self.sides.tooltips = [
             "the single-frame fits",
             "after infill and refinement" if worked else "not run with these settings yet",

@@ -250,7 +250,7 @@ def check_faces(observations: Sequence[FrameObservation], parts: Mapping[str, st
         frames = read_frames(parts[name])
         if not runs_in(observations, frames):
             where = f"{frames.start}-{frames.stop - 1}"
-            raise InputError(f"{what}, {where}, have no {LENGTH} in a row with a face and without a cut; choose more.")
+            raise InputError(f"{what}, {where}, have no run of {LENGTH} with a face and without a cut; choose more.")
 
 
 def _part(text: str) -> tuple[int, int]:
