@@ -18,7 +18,6 @@ from workbench.frames import Frame, Frames, images_in_folder
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pipeline import is_landmark_file, open_source
-from workbench.pipeline.output_folder import FILES
 from workbench.session.opened_files import OpenedFiles
 from workbench.tracking import FrameObservation
 
@@ -192,6 +191,8 @@ def _should_be_track(path: Path) -> bool:
 
 def _holds_pictures(folder: Path) -> bool:
     """Whether there are pictures beside those that a run draws."""
+    from workbench.pipeline.output_folder import FILES  # here: other folders do without what writes tracks
+
     try:
         return any(path.name not in FILES for path in images_in_folder(folder))
     except InputError:
