@@ -35,7 +35,7 @@ from workbench.samples import sample, samples_folder
 from workbench.sweeps.storage import Storage
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
-from workbench.workers import ThisProcess
+from workbench.workers import ThisProcess, ready
 
 
 @pytest.fixture
@@ -433,9 +433,12 @@ def test_workers_of_a_command_start_once_tell_their_dashboard_and_end_with_it(mo
             assert dict(workers.results([])) == {}
         assert (len(hired), hired[0].closed) == (1, False)
     assert hired[0].closed
-    with screen.at_work(2, "tcp://host:1"):  # whether it can be reached is known at once
+    with screen.at_work(2, None) as workers:
+        assert ready(workers) is workers
         assert len(hired) == 2
-    assert capsys.readouterr().out.splitlines() == ["Dask dashboard: here"] * 2
+    with screen.at_work(2, "tcp://host:1"):  # whether it can be reached is known at once
+        assert len(hired) == 3
+    assert capsys.readouterr().out.splitlines() == ["Dask dashboard: here"] * 3
 
 
 def test_an_interruption_says_how_to_go_on_where_frames_are_kept(run, points, monkeypatch, tmp_path):

@@ -110,9 +110,14 @@ def test_a_scheduler_that_cannot_be_reached_is_one_sentence_and_exit_code_2(run,
     assert code == 2
     assert "The scheduler tcp://127.0.0.1:9 cannot be reached" in err
     assert len(err.strip().splitlines()) == 1
-    code, _, err = run("sweep", sweep.sources[0].clip, "--set", "weights.tau=1,2", "--scheduler", "nonsense")
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://localhost", "http://127.0.0.1:8790", ""])
+def test_what_is_no_address_of_a_scheduler_is_refused_before_a_client_waits_for_it(run, sweep, monkeypatch, address):
+    monkeypatch.setattr("distributed.Client", lambda *given, **named: pytest.fail("waited"))
+    code, _, err = run("sweep", sweep.sources[0].clip, "--set", "weights.tau=1,2", "--scheduler", address)
     assert code == 2
-    assert "cannot be reached" in err
+    assert f"The scheduler {address} cannot be reached (" in err
 
 
 def test_an_interrupt_ends_the_command_and_keeps_what_was_done(sweep, expected, tmp_path):

@@ -1,6 +1,7 @@
 """Tuning from its start to its file: interrupted, gone on with, by search and by gradient, in a session and outside."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +10,12 @@ from typer.testing import CliRunner
 
 from tests.short_clips import observations, write_clip
 from workbench.cli import app
+from workbench.cli import tuning as command
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.face import FaceModel, load_default_head
-from workbench.learning import Parts, Wanted, parts_of_clip, search, tuned, tuning
-from workbench.learning.descent import begin, descended, store, stored
+from workbench.learning import Parts, Tuned, Wanted, parts_of_clip, search, tuned, tuning
+from workbench.learning.descent import Learning, begin, descended, store, stored
 from workbench.learning.examples import stretches_in
 from workbench.learning.learnable import FARTHEST, limits_of, start_of
 from workbench.learning.learnable import FOV as FOV_PATH
@@ -381,6 +383,18 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     assert more.exit_code == 0, more.output
     as_told = CliRunner().invoke(app, [*other, "--overwrite"])
     assert as_told.exit_code == 0, as_told.output
+
+
+@pytest.mark.parametrize(("done", "said"), [(1, "interrupted after 1 of 3 steps; --resume"), (3, "No step was better")])
+def test_what_a_descent_found_is_told_with_how_far_it_came(capsys, done, said):
+    config = preset("joint")
+    provenance = {"objective": "jitter", "learned": ["weights.tau"], "parts": {"held_out": "0:8"}}
+    numbers = {"before": {"held_out": 1.0}, "after": {"held_out": 1.0}}
+    learning = Learning("key", {"weights.tau": [0.0]}, {}, values=[1.0] * done, best={"weights.tau": [0.0]})
+    same = {"held_out": np.ones(8)}
+    found = Tuned(config.changed(provenance=provenance | numbers), config, same, same, learning)
+    command._print(found, Path("found.toml"), True, 3)
+    assert said in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

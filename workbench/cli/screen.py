@@ -134,10 +134,13 @@ class _HiredWhenNeeded:
     def count(self) -> int:
         return self._wanted[0] if self._hired is None else self._hired.count
 
-    def results(self, *given) -> Iterator[tuple[int, object]]:
+    def start(self) -> None:
         if self._hired is None:
             self._hired = workbench.workers.workers_for(*self._wanted)
             _tell_of(self._hired)
+
+    def results(self, *given) -> Iterator[tuple[int, object]]:
+        self.start()
         return self._hired.results(*given)
 
     def close(self) -> None:

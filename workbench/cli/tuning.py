@@ -108,7 +108,7 @@ def tune(
 
         found = learning.tuned(head, base, seen, wanted, tell, path, resume, learning.inputs_of(source))
     write_config(found.config, path)
-    _print(found, path, bool(learn))
+    _print(found, path, bool(learn), steps)
 
 
 @contextmanager
@@ -123,7 +123,7 @@ def _telling_interruptions(path: Path) -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def _print(found, path: Path, learns: bool) -> None:
+def _print(found, path: Path, learns: bool, steps: int) -> None:
     table = screen.table("frames", "before", "after", right=("before", "after"))
     for name, before in found.config.provenance.before.items():
         table.add_row(name.replace("_", "-"), f"{before:.4g}", f"{found.config.provenance.after[name]:.4g}")
@@ -134,7 +134,10 @@ def _print(found, path: Path, learns: bool) -> None:
         screen.console.print(f"The search was interrupted{unlearned}; --resume continues it.")
     elif found.search is not None and found.search.config == found.base:
         screen.console.print("No trial was better than the start.")
-    if found.learning is not None and found.learning.best and found.learning.best_step == 0:
+    if found.learning is not None and len(found.learning.values) < steps:
+        done = len(found.learning.values)
+        screen.console.print(f"The learning was interrupted after {done} of {steps} steps; --resume continues it.")
+    elif found.learning is not None and found.learning.best and found.learning.best_step == 0:
         screen.console.print("No step was better than the start on the frames that choose it: nothing was learned.")
     shown = [str(item) for item in differences(found.base, found.config)]
     for line in shown[:8]:

@@ -12,6 +12,7 @@ from workbench.config import Config, Hashed, differences
 from workbench.errors import ConfigError, InputError
 from workbench.extras import check_installed
 from workbench.face import FaceModel
+from workbench.files import writing
 from workbench.learning.descent import Learning, Watched, begin, descended, read_learning, stored
 from workbench.learning.examples import example_of, size_of, spread, stretches_in
 from workbench.learning.keys import key_of
@@ -115,7 +116,8 @@ def tuned(
     # Not before: a slip costs nothing that is stored.
     if place is not None and not resume:
         for earlier in kept_beside(place):
-            earlier.unlink(missing_ok=True)
+            with writing(earlier):
+                earlier.unlink(missing_ok=True)
     solver, found, search, learning = ClipSolver(model), config, None, None
     if wanted.search:
         study = place.with_suffix(OF_SEARCH)

@@ -49,7 +49,7 @@ from workbench.tracking.track_layout import file_record, model_record, scheme_of
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import UNREFINED, TrackWriter, begun_run, has_parts
 from workbench.tracking.unwatched import silent
-from workbench.workers import ThisProcess, Workers, working
+from workbench.workers import ThisProcess, Workers, ready, working
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, the frames done, and the frames in all if known."""
@@ -233,8 +233,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool, watched: Watched
     deep = config.traits.renders
     told, files = [], ()
     with ExitStack() as stack:
-        workers, drawn = stack.enter_context(working(job.workers)), None
-        workers.results(())  # those that start with their first tasks do so now: the time of a run is that of its fits
+        workers, drawn = ready(stack.enter_context(working(job.workers))), None
         began = time.perf_counter()
         if stills and job.pictures:
             drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder, dressed))

@@ -1,6 +1,7 @@
 from .hiring import Kind as Kind
 from .hiring import Workers as Workers
 from .hiring import in_order as in_order
+from .hiring import ready as ready
 from .hiring import workers_for as workers_for
 from .hiring import working as working
 from .processes import Pool as Pool

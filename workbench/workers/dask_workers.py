@@ -37,8 +37,10 @@ class DaskWorkers:
         with needs("cluster"):
             import dask
             from distributed import Client, LocalCluster
+            from distributed.comm import get_address_host_port
         # What becomes of workers and scheduler is told by the errors below.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", "distributed.client"):  # Dask gives the second one a level of its own
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self.address = scheduler or ""
         self._cluster = None
         if scheduler is None:
@@ -59,6 +61,8 @@ class DaskWorkers:
                 )
             self.address = self._cluster.scheduler_address
         try:
+            if scheduler is not None:
+                get_address_host_port(scheduler)  # over what is no address, a client fails and goes on waiting
             self._client = Client(self._cluster or scheduler, timeout=REACH_S, set_as_default=False)
         except (OSError, ValueError, ImportError) as error:
             raise InputError(

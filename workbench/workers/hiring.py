@@ -64,6 +64,12 @@ def working(workers: int | Workers) -> Iterator[Workers]:
         hired.close()
 
 
+def ready(workers: Workers) -> Workers:
+    """The workers, once those that start with their first tasks have started: it takes seconds that are no work."""
+    getattr(workers, "start", lambda: None)()
+    return workers
+
+
 def in_order(results: Iterator[tuple[int, Any]]) -> Iterator[Any]:
     """Results in the order of their tasks, each as soon as it and those before it are there."""
     waiting, number = {}, 0
