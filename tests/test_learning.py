@@ -159,9 +159,9 @@ def test_stretches_neither_cross_cuts_nor_gaps(clip):
     observations[20] = replace(observations[20], landmarks=None)
     torn = replace(clip, observations=tuple(observations))
     assert stretches_in(torn, range(40), "train") == [range(5, 17), range(21, 33)]
-    with pytest.raises(InputError, match=r"frames to learn on, 10:25, have no 12 in a row.*\(--train"):
+    with pytest.raises(InputError, match=r"frames to learn on, 10:25, have no run of 12.*\(--train"):
         stretches_in(torn, range(10, 25), "train")
-    with pytest.raises(InputError, match=r"frames that choose the step, 10:25, have no 12 in a row.*\(--watch"):
+    with pytest.raises(InputError, match=r"frames that choose the step, 10:25, have no run of 12.*\(--watch"):
         stretches_in(torn, range(10, 25), "watch")
 
 
