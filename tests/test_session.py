@@ -707,6 +707,12 @@ def test_the_track_of_a_session_says_what_it_was_made_of(head, tmp_path):
     assert again.material.rate == session.material.rate
 
 
+def test_a_session_for_fits_alone_needs_no_pictures(head, clip):
+    session = TuningSession(head, replace(clip, pictures=None), QUICK)
+    assert len(session.fit_clip()) == len(clip.observations)
+    assert session.track.meta["rate"] is None
+
+
 @pytest.mark.parametrize("name", ["talk.glb", "talk.usda", "talk.arkit.csv", "TALK.MP4"])
 def test_settings_are_not_written_under_the_name_of_an_animation(session, tmp_path, name):
     with pytest.raises(InputError, match=r"The settings are TOML, .*export_track\(session\.track"):

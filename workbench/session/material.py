@@ -97,7 +97,8 @@ class Material:
 
     name: str
     observations: tuple[FrameObservation, ...]
-    pictures: PictureStore
+    pictures: PictureStore | None
+    """None: for fits alone, which a panel cannot show."""
     stills: bool
     """Whether the frames are unrelated photos."""
     inputs: tuple[Path, ...] = ()
@@ -125,7 +126,8 @@ class Material:
     @property
     def rate(self) -> float | None:
         """Frames per second; None if unknown."""
-        return getattr(self.pictures.frames, "rate", None) or self.tracked_rate
+        frames = None if self.pictures is None else self.pictures.frames
+        return getattr(frames, "rate", None) or self.tracked_rate
 
     @cached_property
     def shots(self) -> tuple[range, ...]:
